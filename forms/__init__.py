@@ -1,0 +1,1 @@
+"""Weak forms of the physics, in UFL and nothing else."""

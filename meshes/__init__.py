@@ -1,0 +1,1 @@
+"""Meshes of sections, with named walls."""

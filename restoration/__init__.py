@@ -1,0 +1,3 @@
+"""Restoration of geological sections by reverse-time Stokes flow."""
+
+__version__ = "0.1.0"

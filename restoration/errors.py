@@ -1,0 +1,79 @@
+"""The errors a user can meet, each with the exit code of the command line.
+
+A message is one line per fault and says where, what was found, what is possible and what to do.
+Everything else that escapes is a bug and keeps its traceback.
+"""
+
+from dataclasses import dataclass
+
+
+class RestorationError(Exception):
+    """Base of every error that is reported without a traceback."""
+
+    exit_code = 1
+
+
+@dataclass(frozen=True)
+class Fault:
+    """One fault of an input file.
+
+    Attributes:
+        file: name of the file as the user gave it.
+        line: line in the file, from 1; None where there is none.
+        column: column in the line, from 1; None where there is none.
+        entry: dotted path of the entry, such as ``rocks.salt.viscosity``; may be empty.
+        message: what was found and what is possible.
+    """
+
+    file: str
+    line: int | None
+    column: int | None
+    entry: str
+    message: str
+
+    def __str__(self):
+        place = [self.file, self.line, self.column]
+        parts = [":".join(str(part) for part in place if part is not None), self.entry]
+        return ": ".join([part for part in parts if part] + [" ".join(self.message.split())])
+
+
+class CaseError(RestorationError):
+    """The case, or a file it names, is faulty.
+
+    Args:
+        faults: a list of `Fault`, or one message.
+    """
+
+    exit_code = 2
+
+    def __init__(self, faults):
+        self.faults = faults if isinstance(faults, list) else [Fault("", None, None, "", faults)]
+        super().__init__("\n".join(str(fault) for fault in self.faults))
+
+
+class SolveError(RestorationError):
+    """A solver failed, or its answer cannot be trusted."""
+
+    exit_code = 3
+
+
+class MeshError(RestorationError):
+    """A mesh could not be made, or is too distorted to go on."""
+
+    exit_code = 4
+
+
+class ParticleError(MeshError):
+    """The particles no longer cover the mesh."""
+
+
+class OutputError(RestorationError):
+    """A result could not be written."""
+
+    exit_code = 5
+
+
+class StoppedError(RestorationError):
+    """The run was stopped on request."""
+
+    exit_code = 75

@@ -1,0 +1,243 @@
+"""The scene: what a case asks for, resolved, in SI units and frozen.
+
+Coordinates are ``(x, z)``: x to the right, z up, m. In a box z is 0 at the surface.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+WALLS = ("left", "right", "base", "surface")
+
+
+@dataclass(frozen=True)
+class Rock:
+    """A material.
+
+    Attributes:
+        name: name in the case.
+        density: kg/m^3.
+        viscosity: dynamic viscosity, Pa s.
+        color: ``#rrggbb`` of the pictures.
+    """
+
+    name: str
+    density: float
+    viscosity: float
+    color: str
+
+
+@dataclass(frozen=True)
+class Unit:
+    """A mapped unit of the section (a layer); several units may be of one rock.
+
+    Attributes:
+        name: name of the layer or the polygons.
+        rock: row of `Scene.rocks`.
+        color: ``#rrggbb`` of the pictures; a shade of the rock's where a rock has several units.
+    """
+
+    name: str
+    rock: int
+    color: str
+
+
+@dataclass(frozen=True, eq=False)
+class Line:
+    """A line of the section that moves with the rock and is reported: a horizon or a fault.
+
+    Attributes:
+        name: such as ``salt / sediment``; pieces of one horizon share their name.
+        kind: ``horizon`` or ``fault``.
+        points: vertices in order, shape (n, 2), m.
+    """
+
+    name: str
+    kind: str
+    points: np.ndarray
+
+
+@dataclass(frozen=True)
+class Wall:
+    """What happens on one wall, component by component along (x, z).
+
+    Attributes:
+        kind: ``no-slip``, ``free-slip``, ``velocity`` or ``traction``.
+        velocity: prescribed components, m/s; None where the component is not held.
+        traction: force per area on the components that are not held, Pa; 0 is stress-free.
+    """
+
+    kind: str
+    velocity: tuple[float | None, float | None]
+    traction: tuple[float, float]
+
+
+@dataclass(frozen=True, eq=False)
+class Outline:
+    """The frame of a section with vertical sides.
+
+    Attributes:
+        surface: top line from left to right, shape (n, 2), n >= 2, x strictly ascending, m.
+        base: bottom line from left to right over the same x range, shape (m, 2), m.
+    """
+
+    surface: np.ndarray
+    base: np.ndarray
+
+    @property
+    def width(self):
+        """Width, m."""
+        return float(self.surface[-1, 0] - self.surface[0, 0])
+
+    @property
+    def height(self):
+        """Greatest extent in z, m."""
+        return float(self.surface[:, 1].max() - self.base[:, 1].min())
+
+    @property
+    def area(self):
+        """Area between surface and base, m^2."""
+        return float(
+            np.trapz(self.surface[:, 1], self.surface[:, 0])
+            - np.trapz(self.base[:, 1], self.base[:, 0])
+        )
+
+
+@dataclass(frozen=True)
+class ParticlePlan:
+    """How the particles are seeded.
+
+    Attributes:
+        per_cell: particles per mesh cell away from the horizons (mean).
+        densify: how many times more within one cell size of a horizon.
+        jitter: 0 for a regular pattern, 1 for a jitter of a full spacing.
+        seed: of the random numbers.
+    """
+
+    per_cell: int
+    densify: int
+    jitter: float
+    seed: int
+
+
+@dataclass(frozen=True)
+class Transfer:
+    """How rock is carried from particles to the fields.
+
+    Attributes:
+        density: ``hat`` (continuous, hat-weighted vertices), ``quadrature`` (arithmetic mean of
+            the particles around each quadrature point) or ``cell`` (arithmetic mean per cell).
+        viscosity: ``hat`` or ``cell``.
+        mean: of the viscosity: ``harmonic``, ``geometric`` or ``arithmetic``.
+    """
+
+    density: str
+    viscosity: str
+    mean: str
+
+
+@dataclass(frozen=True)
+class TimePlan:
+    """When the run passes where.
+
+    Attributes:
+        marks: model times to pass, s; the first is the start; decreasing ones restore.
+        scheme: ``euler``, ``paper``, ``midpoint`` or ``rk4``.
+        courant: cells a particle may cross in a step.
+        min_steps: least number of steps between two marks.
+    """
+
+    marks: tuple[float, ...]
+    scheme: str
+    courant: float
+    min_steps: int
+
+
+@dataclass(frozen=True)
+class OutputPlan:
+    """What is written, and when.
+
+    Attributes:
+        at: ``marks``, or the number of steps between two frames.
+        fields: of velocity, pressure, density, viscosity, strain_rate.
+        particles: whether the particle series is written.
+        arrows: whether pictures carry velocity arrows.
+        exaggeration: vertical exaggeration of the pictures.
+    """
+
+    at: str | int
+    fields: tuple[str, ...]
+    particles: bool
+    arrows: bool
+    exaggeration: float
+
+
+@dataclass(frozen=True, eq=False)
+class Cloud:
+    """Particles given by the user instead of seeded ones.
+
+    Attributes:
+        x: positions, shape (n, 2), m.
+        unit: row of `Scene.units`, shape (n,), int16.
+    """
+
+    x: np.ndarray
+    unit: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """A section and what is to be done with it.
+
+    Attributes:
+        title: of the pictures.
+        outline: the frame.
+        rocks: the rock table.
+        units: the mapped units, each of one rock.
+        unit_at: maps points (n, 2), m, to rows of `units`, shape (n,), int16.
+        lines: horizons and faults that move with the rock.
+        walls: wall by name, one for each of `WALLS`.
+        gravity: acceleration downwards, m/s^2.
+        cells: mesh columns and rows of squares; each becomes four triangles.
+        particles, transfer, time, output: the plans.
+        cloud: the particles where the case gives them, else None.
+        notes: remarks on the input for the user, such as slivers that were closed.
+    """
+
+    title: str
+    outline: Outline
+    rocks: tuple[Rock, ...]
+    units: tuple[Unit, ...]
+    unit_at: Callable[[np.ndarray], np.ndarray]
+    lines: tuple[Line, ...]
+    walls: dict[str, Wall]
+    gravity: float
+    cells: tuple[int, int]
+    particles: ParticlePlan
+    transfer: Transfer
+    time: TimePlan
+    output: OutputPlan
+    cloud: Cloud | None
+    notes: tuple[str, ...]
+
+    @property
+    def unit_density(self):
+        """Density of every unit, shape (units,), kg/m^3."""
+        return np.array([self.rocks[unit.rock].density for unit in self.units])
+
+    @property
+    def unit_viscosity(self):
+        """Viscosity of every unit, shape (units,), Pa s."""
+        return np.array([self.rocks[unit.rock].viscosity for unit in self.units])
+
+    @property
+    def one_viscosity(self):
+        """Whether one viscosity fills the whole section, so that one factorisation serves."""
+        return len(set(self.unit_viscosity.tolist())) == 1
+
+    @property
+    def closed(self):
+        """Whether the normal velocity is held on every wall, so that pressure floats."""
+        normal = {"left": 0, "right": 0, "base": 1, "surface": 1}
+        return all(self.walls[name].velocity[normal[name]] is not None for name in WALLS)
