@@ -51,6 +51,12 @@ class CaseError(RestorationError):
         super().__init__("\n".join(str(fault) for fault in self.faults))
 
 
+class EnvironmentFault(RestorationError):
+    """The machine lacks something, or has it in a version that cannot work."""
+
+    exit_code = 2
+
+
 class SolveError(RestorationError):
     """A solver failed, or its answer cannot be trusted."""
 

@@ -1,0 +1,253 @@
+"""The machine: what must be there, what is in use, and where compiled code is kept.
+
+`check_environment` loads no library, so that a wrong one is named in a line before it crashes.
+"""
+
+import contextlib
+import fcntl
+import hashlib
+import logging
+import os
+import re
+import sys
+import tempfile
+import time
+from importlib.machinery import PathFinder
+from pathlib import Path
+
+from restoration.errors import EnvironmentFault
+
+SYSTEM_SITE = Path("/usr/lib/python3/dist-packages")
+LIBRARIES = Path("/usr/lib") / sys.implementation._multiarch
+DEBIAN_MODULES = {
+    "dolfinx": "python3-dolfinx",
+    "petsc4py": "python3-petsc4py",
+    "mpi4py": "python3-mpi4py",
+    "gmsh": "python3-gmsh",
+    "h5py": "python3-h5py",
+    "scipy": "python3-scipy",
+}
+VENV_MODULES = ("matplotlib", "numba", "pydantic", "pyvista", "ruamel", "shapely")
+STALE = 60.0  # s, age of a half-built form that no living process can still be building
+
+
+def check_environment(path=None, system=SYSTEM_SITE, libraries=LIBRARIES):
+    """Return what slows the work or spoils pictures, one line each; loads no library.
+
+    Args:
+        path: folders that modules are imported from; None for ``sys.path``.
+        system: folder of Debian's Python modules.
+        libraries: folder of Debian's shared libraries.
+
+    Raises:
+        EnvironmentFault: numpy is not the one dolfinx was built for, or a package is missing.
+    """
+    faults = _missing_modules(path) + _wrong_numpy(path, system)
+    if faults:
+        raise EnvironmentFault("\n".join(faults))
+    warnings = []
+    if blas(libraries, maps=None) == "reference":
+        warnings.append(
+            "the slow reference BLAS is in use, and solves take about four times as long; "
+            "install Debian's libopenblas0-serial"
+        )
+    if not list(libraries.glob("libOSMesa.so.*")):
+        warnings.append("no libOSMesa, so VTK cannot draw off-screen; install Debian's libosmesa6")
+    return warnings
+
+
+def _missing_modules(path):
+    debian = [
+        package for name, package in DEBIAN_MODULES.items() if not PathFinder.find_spec(name, path)
+    ]
+    venv = [name for name in VENV_MODULES if not PathFinder.find_spec(name, path)]
+    faults = []
+    if debian:
+        faults.append(
+            f"not found: Debian's {', '.join(debian)}; run 'make setup' or apt install them"
+        )
+        if "PETSC_DIR" in os.environ:
+            faults[-1] += ", and unset PETSC_DIR, which hides Debian's PETSc"
+    if venv:
+        faults.append(f"not found: Python's {', '.join(venv)}; run 'make setup'")
+    return faults
+
+
+def _wrong_numpy(path, system):
+    spec = PathFinder.find_spec("numpy", path)
+    if not spec:
+        return ["not found: numpy; run 'make setup' or apt install python3-numpy"]
+    site = Path(spec.origin).parent.parent
+    found, built_for = _numpy_version(site), _numpy_version(system)
+    if found == built_for:
+        return []
+    if site.is_relative_to(sys.prefix):
+        advice = f"run 'make setup', or '{sys.executable} -m pip install numpy=={built_for}'"
+    else:
+        advice = "take that folder off PYTHONPATH, or set PYTHONNOUSERSITE=1"
+    return [f"numpy {found} in {site} hides {built_for}, which dolfinx was built for; {advice}"]
+
+
+def _numpy_version(site):
+    """Return the version by the metadata beside the package; None where there is none."""
+    for entry in site.glob("numpy-*-info"):
+        if found := re.fullmatch(r"numpy-(.+)\.(dist|egg)-info", entry.name):
+            return found[1]
+    return None
+
+
+def blas(libraries=LIBRARIES, maps="/proc/self/maps"):
+    """Return the BLAS that Debian's libraries call, such as ``openblas-serial 0.3.21``.
+
+    Args:
+        libraries: folder of Debian's shared libraries.
+        maps: list of the files this process has loaded, asked first; None to leave it out.
+
+    Returns:
+        The name with the version where known, ``reference``, or None where there is no BLAS.
+    """
+    library = libraries / "libblas.so.3"
+    loaded = re.search(r"/\S+/libblas\.so\S*", Path(maps).read_text()) if maps else None
+    if not loaded and not library.exists():
+        return None
+    folder = Path(loaded[0] if loaded else library.resolve()).parent
+    if folder.name == "blas":
+        return "reference"
+    versions = [re.search(r"-r([\d.]+)\.so$", entry.name) for entry in folder.glob("*.so")]
+    return " ".join([folder.name, *(version[1] for version in versions if version)])
+
+
+def versions():
+    """Return the versions of what computes, for the run record."""
+    import dolfinx
+    import numpy
+    from petsc4py import PETSc
+
+    return {
+        "dolfinx": dolfinx.__version__,
+        "petsc": ".".join(str(part) for part in PETSc.Sys.getVersion()),
+        "numpy": numpy.__version__,
+        "blas": blas(),
+    }
+
+
+def jit_cache(name="fenics"):
+    """Return a folder of our own for compiled code; made if need be.
+
+    In the .venv, so that it goes with the versions it was compiled for; else in the user's cache;
+    else in a temporary folder.
+    """
+    key = hashlib.sha256(f"{sys.prefix} {sys.implementation.cache_tag}".encode()).hexdigest()[:8]
+    user = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
+    places = [
+        Path(user) / f"restoration-{key}",
+        Path(tempfile.gettempdir()) / f"restoration-{os.getuid()}-{key}",
+    ]
+    if sys.prefix != sys.base_prefix:
+        places.insert(0, Path(sys.prefix) / "cache")
+    for place in places:
+        folder = place / name
+        try:
+            place.mkdir(mode=0o700, parents=True, exist_ok=True)
+            folder.mkdir(exist_ok=True)
+            # What lies here is run, so nobody else may own it.
+            owners = {place.stat().st_uid, folder.stat().st_uid}
+            if owners == {os.getuid()} and os.access(folder, os.W_OK):
+                return folder
+        except OSError:
+            continue
+    return Path(tempfile.mkdtemp(prefix="restoration-"))
+
+
+def use_jit_cache():
+    """Keep compiled forms in `jit_cache`, cleaned of half-built ones, and compile without a word.
+
+    Returns:
+        The folder.
+    """
+    import dolfinx.jit
+
+    folder = jit_cache()
+    _join(folder)
+    parameters = dolfinx.jit.DOLFINX_DEFAULT_JIT_PARAMETERS
+    parameters["cache_dir"] = (folder, parameters["cache_dir"][1])
+    parameters["timeout"] = (int(STALE), parameters["timeout"][1])
+    for handler in logging.getLogger().handlers:
+        if type(handler) is logging.StreamHandler:  # FFCx's, not one of a log file
+            handler.setLevel(logging.WARNING)  # setuptools tells every compiler call as INFO
+    return folder
+
+
+def use_numba_cache():
+    """Keep compiled kernels in `jit_cache` where they cannot lie beside their source.
+
+    To be called before numba is imported.
+    """
+    if not os.access(Path(__file__).parent, os.W_OK):
+        os.environ.setdefault("NUMBA_CACHE_DIR", str(jit_cache("numba")))
+
+
+_locks = {}
+
+
+def _join(folder):
+    """Take part in a cache until this process ends, and clean it.
+
+    Every process in a cache shares a lock. Whoever has it alone knows that no one else is building
+    and that all half-built forms were left by the killed; others go by their age.
+    """
+    if folder in _locks:
+        return
+    lock = _locks[folder] = (folder / "lock").open("w")
+    try:
+        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        alone = True
+    except OSError:
+        alone = False
+    remove_half_built(folder, age=0 if alone else STALE)
+    with contextlib.suppress(OSError):  # a file system without locks: age has to do
+        fcntl.flock(lock, fcntl.LOCK_SH)
+
+
+def remove_half_built(folder, age=STALE):
+    """Remove forms older than ``age``, s, whose compilation was never finished.
+
+    FFCx makes ``x.c`` first, as its lock, and ``x.c.cached`` last; who finds only the first waits
+    for the second and gives up.
+    """
+    for source in folder.glob("libffcx_*.c"):
+        with contextlib.suppress(FileNotFoundError):  # another process does the same
+            half_built = not source.with_suffix(".c.cached").exists()
+            if half_built and time.time() - source.stat().st_mtime >= age:
+                source.with_suffix(".o").unlink(missing_ok=True)
+                source.unlink()
+
+
+def warm():
+    """Compile a first form, which proves that dolfinx, PETSc and the compiler work together."""
+    use_jit_cache()
+    import ufl
+    from dolfinx import fem, mesh
+    from mpi4py import MPI
+
+    square = mesh.create_unit_square(MPI.COMM_SELF, 1, 1)
+    area = fem.assemble_scalar(fem.form(fem.Constant(square, 1.0) * ufl.dx))
+    if abs(area - 1) > 1e-12:
+        raise EnvironmentFault(f"dolfinx finds {area} for the area of the unit square")
+
+
+def main(arguments=None):
+    """Check the machine, and with ``--warm`` compile a first form; return the exit code."""
+    try:
+        for warning in check_environment():
+            print(f"warning: {warning}", file=sys.stderr)
+        if "--warm" in (sys.argv[1:] if arguments is None else arguments):
+            warm()
+    except EnvironmentFault as fault:
+        print(fault, file=sys.stderr)
+        return fault.exit_code
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
