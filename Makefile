@@ -1,0 +1,30 @@
+# The two commands that matter: `make demo` and `make test`. Each sets everything up first, and
+# does so only once. Lines call `.venv/bin/python -m ...` where they can: it works in any folder.
+PYTHON = .venv/bin/python
+DEMO = cases/diapir-isoviscous/case.yaml
+
+help:
+	@echo "make demo   set up, run the demo case, say where the pictures are"
+	@echo "make test   set up, run all tests; choose with ARGS, such as ARGS='-m \"not slow\"'"
+	@echo "make setup  set up: Debian packages, .venv"
+	@echo "make lint   set up, check the style"
+	@echo "make clean  remove .venv, caches and built files; runs/ stays"
+
+setup:
+	@scripts/setup
+
+demo: setup
+	.venv/bin/restore run $(DEMO) --fresh
+
+test: setup
+	$(PYTHON) -m pytest $(ARGS)
+
+lint: setup
+	$(PYTHON) -m ruff check .
+	$(PYTHON) -m ruff format --check .
+
+clean:
+	rm -rf .venv build *.egg-info .pytest_cache .ruff_cache
+	find . -name __pycache__ -prune -exec rm -rf {} +
+
+.PHONY: help setup demo test lint clean
