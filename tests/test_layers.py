@@ -1,0 +1,150 @@
+"""Imports run one way: every module imports only modules above it in its list."""
+
+import ast
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+
+ORDER = {
+    "forms": ["rheology", "stokes"],
+    "meshes": ["data", "box"],
+    "restoration": [
+        "errors",
+        "words",
+        "units",
+        "tree",
+        "case",
+        "scene",
+        "section",
+        "lines",
+        "resolve",
+        "environment",
+        "files",
+        "spaces",
+        "particles",
+        "transfer",
+        "boundary",
+        "stokes",
+        "state",
+        "advection",
+        "engine",
+        "diagnostics",
+        "xdmf",
+        "output",
+        "figures",
+        "run",
+        "check",
+        "cli",
+    ],
+}
+# What a package may import besides itself and the standard library; None for anything.
+OUTSIDE = {
+    "forms": {"ufl"},
+    "meshes": {"numpy", "gmsh", "dolfinx", "mpi4py", "petsc4py"},
+    "restoration": None,
+}
+ABOVE = {"forms": set(), "meshes": set(), "restoration": {"forms", "meshes"}}
+COMPLETE = False  # whether every name in ORDER is a module; until then some are still to come
+
+PLANTED = [
+    ("forms/stokes.py", "import numpy", "numpy"),
+    ("forms/stokes.py", "from petsc4py import PETSc", "petsc4py"),
+    ("forms/rheology.py", "from forms.stokes import strain_rate", "forms.stokes"),
+    ("forms/rheology.py", "from .stokes import strain_rate", "forms.stokes"),
+    ("meshes/box.py", "def f():\n    import scipy.spatial", "scipy"),
+    ("meshes/box.py", "from restoration.errors import MeshError", "restoration"),
+    ("restoration/units.py", "from restoration import run", "restoration.run"),
+    ("restoration/units.py", "from restoration import run as march", "restoration.run"),
+    ("restoration/units.py", "import restoration.run", "restoration.run"),
+    ("restoration/units.py", "from . import run", "restoration.run"),
+    ("restoration/units.py", "if True:\n    from restoration.run import run", "restoration.run"),
+    ("restoration/units.py", "import restoration.units", "restoration.units"),
+    ("restoration/__init__.py", "from restoration.errors import CaseError", "restoration.errors"),
+    ("restoration/check.py", "def f():\n    from restoration.cli import main", "restoration.cli"),
+    ("restoration/run.py", "from tests.conftest import box", "tests"),
+    ("restoration/run.py", "from importlib import import_module as load", "importlib"),
+    ("restoration/run.py", "__import__('restoration.cli')", "__import__"),
+    ("restoration/novel.py", "import ufl", "ORDER"),
+]
+SOUND = [
+    ("forms/stokes.py", "from dataclasses import dataclass\nfrom ufl import inner"),
+    ("forms/stokes.py", "from forms.rheology import newtonian"),
+    ("meshes/box.py", "import numpy as np\nimport gmsh\nfrom meshes.data import SectionMesh"),
+    ("restoration/units.py", "from restoration.errors import CaseError"),
+    ("restoration/units.py", "from restoration import __version__, errors"),
+    ("restoration/run.py", "from forms.stokes import strain_rate\nimport meshes.box\nimport numba"),
+    (
+        "restoration/cli.py",
+        "from importlib.resources import files\nfrom restoration.run import run",
+    ),
+]
+
+
+def modules(package):
+    """Return the names of all modules of a package; one in a subpackage counts by the first."""
+    paths = (path.relative_to(ROOT / package) for path in (ROOT / package).rglob("*.py"))
+    return sorted({path.parts[0].removesuffix(".py") for path in paths})
+
+
+def imported(tree, package):
+    """Yield the full dotted name of everything that a module imports, in functions too."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            base = ".".join([package] * bool(node.level) + [node.module] * bool(node.module))
+            yield from (f"{base}.{alias.name}" for alias in node.names)
+        elif isinstance(node, ast.Name) and node.id == "__import__":
+            yield "__import__"
+
+
+def wrong_imports(name, text):
+    """Return what the module file ``name``, such as ``forms/stokes.py``, may not import."""
+    package, module = name.removesuffix(".py").split("/")[:2]
+    order = ORDER[package]
+    if module != "__init__" and module not in order:
+        return [f"{package}.{module} has no place in ORDER"]
+    above = [] if module == "__init__" else order[: order.index(module)]
+    wrong = []
+    for target in imported(ast.parse(text), package):
+        first, second, *_ = [*target.split("."), ""]
+        if first == package:
+            if second in order and second not in above:
+                wrong.append(f"{first}.{second}")
+        elif first in {*ORDER, "tests"}:
+            if first not in ABOVE[package]:
+                wrong.append(first)
+        elif target in {"__import__", "importlib", "importlib.import_module"}:
+            wrong.append(target)  # would hide from this test
+        elif first not in sys.stdlib_module_names and OUTSIDE[package] is not None:
+            if first not in OUTSIDE[package]:
+                wrong.append(first)
+    return wrong
+
+
+@pytest.mark.parametrize("package", ORDER)
+def test_every_module_imports_only_modules_above_it(package):
+    paths = sorted((ROOT / package).rglob("*.py"))
+    names = [path.relative_to(ROOT).as_posix() for path in paths]
+    wrong = {name: wrong_imports(name, (ROOT / name).read_text()) for name in names}
+    assert names
+    assert {name: imports for name, imports in wrong.items() if imports} == {}
+
+
+@pytest.mark.skipif(not COMPLETE, reason="modules are still to come")
+@pytest.mark.parametrize("package", ORDER)
+def test_every_name_in_the_order_is_a_module(package):
+    assert set(ORDER[package]) == set(modules(package)) - {"__init__"}
+
+
+@pytest.mark.parametrize(("name", "text", "culprit"), PLANTED)
+def test_a_wrong_import_is_named(name, text, culprit):
+    assert culprit in " ".join(wrong_imports(name, text))
+
+
+@pytest.mark.parametrize(("name", "text"), SOUND)
+def test_a_sound_import_passes(name, text):
+    assert wrong_imports(name, text) == []
