@@ -55,9 +55,6 @@ class _Series:
         if self._frames and not elapsed > self._frames[-1][0]:
             raise ValueError(f"elapsed time must ascend: {elapsed} after {self._frames[-1][0]}")
         file = part(self.path, self._part)
-        if file.exists() and file.stat().st_size > PART_SIZE:
-            self._part += 1
-            file = part(self.path, self._part)
         frame = f"{len(self._frames):06d}"
         place = {label: f"{file.name}:/frames/{frame}/{label}" for label in arrays}
         fresh = dict(arrays)
@@ -70,6 +67,8 @@ class _Series:
         self._frames.append((elapsed, grid))
         for label in {"points", "topology"} & set(fresh):
             self._last[label] = (fresh[label].copy(), place[label])
+        if file.stat().st_size > PART_SIZE:
+            self._part += 1
         self._describe()
 
     def _append(self, file, frame, arrays, about):
@@ -92,10 +91,13 @@ class _Series:
                     group[label] = array
 
     def _begin(self, file):
+        """Make an .h5 without frames; in memory, since HDF5 may crash where a disk is full."""
         text = json.dumps(self.attributes, default=lambda value: value.tolist(), allow_nan=False)
-        with h5py.File(file, "w") as h5:
+        with h5py.File(file.name, "w", driver="core", backing_store=False) as h5:
             h5.create_group("frames")
             h5["attributes"] = np.bytes_(text.encode())
+            h5.flush()
+            file.write_bytes(h5.id.get_file_image())
 
     def _describe(self):
         """Write the .xdmf of all frames."""
@@ -189,7 +191,7 @@ def _abouts(file):
 
 
 def _reserve(file, size):
-    """Make a file longer by ``size`` bytes, so that HDF5 (which may crash) meets no full disk."""
+    """Make a file longer by ``size`` bytes, so that HDF5 meets no full disk."""
     with open(file, "r+b") as stream:
         os.posix_fallocate(stream.fileno(), 0, os.path.getsize(file) + size)
 
