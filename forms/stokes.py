@@ -1,0 +1,68 @@
+"""Weak forms of incompressible Stokes flow.
+
+    -div(sigma) = rho g,    sigma = 2 eta D(u) - p I,    div(u) = 0
+
+Pressure ``p`` is positive in compression and ``g`` is a vector (Schuh-Senlis et al. 2020,
+eqs. 1 to 6). The forms take the viscosity divided by a reference ``eta0`` and the pressure in units
+of ``eta0 / length``, so that both blocks of the matrix are of order one where eta is eta0.
+"""
+
+from ufl import CellVolume, FacetArea, FacetNormal, div, dot, grad, inner, sym
+
+
+def strain_rate(u):
+    """Return D(u), the symmetric part of the velocity gradient, 1/s."""
+    return sym(grad(u))
+
+
+def second_invariant(u):
+    """Return eps_II = sqrt(D : D / 2), 1/s."""
+    d = strain_rate(u)
+    return (inner(d, d) / 2) ** 0.5
+
+
+def stokes_form(u, p, v, q, eta, length, dx):
+    """Return the symmetric bilinear form of the Stokes equations.
+
+    Args:
+        u, p: trial velocity (m/s) and pressure (in eta0 / length).
+        v, q: test functions of the same spaces.
+        eta: viscosity over eta0, a UFL expression.
+        length: m, makes pressure and velocity blocks alike in size.
+        dx: measure.
+    """
+    viscous = 2 * eta * inner(strain_rate(u), strain_rate(v))
+    return (viscous - p / length * div(v) - q / length * div(u)) * dx
+
+
+def slip_form(u, p, v, q, eta, length, ds, penalty=20.0):
+    """Return the terms that hold u.n = 0 weakly on an inclined wall (Nitsche's method).
+
+    The normal traction stays in the equation, so the terms vanish for the exact solution; they are
+    symmetric, and a constant pressure is still in the null space of a closed section.
+    Source: Freund & Stenberg (1995), On weakly imposed boundary conditions for second order problems.
+    """
+    n = FacetNormal(u.ufl_domain())
+    # The bound of the trace inequality for P2 strain rates is 2 * 3 / h with this h, for any shape.
+    h = CellVolume(u.ufl_domain()) / FacetArea(u.ufl_domain())
+
+    def normal_stress(w, r):
+        return 2 * eta * dot(n, dot(strain_rate(w), n)) - r / length
+
+    consistent = -normal_stress(u, p) * dot(v, n) - normal_stress(v, q) * dot(u, n)
+    return (consistent + penalty * eta / h * dot(u, n) * dot(v, n)) * ds
+
+
+def gravity_load(v, rho, g, dx):
+    """Return the load of the weight ``rho g`` (g a vector, m/s^2)."""
+    return rho * dot(g, v) * dx
+
+
+def traction_load(v, traction, ds):
+    """Return the load of a force per area on a wall, Pa."""
+    return dot(traction, v) * ds
+
+
+def source_load(q, rate, length, dx):
+    """Return the load that lets div(u) equal ``rate``, 1/s, in the form of `stokes_form`."""
+    return -rate / length * q * dx

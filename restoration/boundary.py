@@ -1,0 +1,81 @@
+"""Walls of the scene as conditions and terms of the Stokes problem."""
+
+import numpy as np
+import ufl
+from dolfinx import fem
+from petsc4py import PETSc
+
+from forms.stokes import slip_form, traction_load
+
+NORMAL = {"left": 0, "right": 0, "base": 1, "surface": 1}
+
+
+def is_inclined_slip(name, wall, section):
+    """Return whether a free-slip wall is inclined, so that u.n = 0 is held weakly."""
+    return wall.kind == "free-slip" and name not in section.flat
+
+
+def velocity_conditions(walls, section, spaces):
+    """Return the strong conditions on the velocity, wall by wall and component by component.
+
+    No-slip walls come last: where two walls meet, the one that holds the rock fast decides.
+
+    Args:
+        walls: `scene.Wall` by name.
+        section: `meshes.data.SectionMesh`.
+        spaces: `Spaces`.
+    """
+    conditions = []
+    for name, wall in sorted(walls.items(), key=lambda item: item[1].kind == "no-slip"):
+        if is_inclined_slip(name, wall, section):
+            continue
+        facets = section.facet_tags.find(section.wall_tags[name])
+        for axis, value in enumerate(wall.velocity):
+            if value is not None:
+                component = spaces.W.sub(0).sub(axis)
+                dofs = fem.locate_dofs_topological(component, 1, facets)
+                conditions.append(fem.dirichletbc(PETSc.ScalarType(value), dofs, component))
+    return conditions
+
+
+def pressure_pin(spaces):
+    """Return the condition that fixes the level of the pressure in a closed section."""
+    dof = np.array([spaces.q_in_w[0]], dtype=np.int32)
+    return fem.dirichletbc(PETSc.ScalarType(0), dof, spaces.W.sub(1))
+
+
+def wall_form(trial, test, eta, length, walls, section, spaces):
+    """Return the bilinear terms of inclined free-slip walls; None if there are none."""
+    terms = [
+        slip_form(*trial, *test, eta, length, spaces.ds(section.wall_tags[name]))
+        for name, wall in walls.items()
+        if is_inclined_slip(name, wall, section)
+    ]
+    return sum(terms[1:], terms[0]) if terms else None
+
+
+def wall_load(v, scale, walls, section, spaces):
+    """Return the load of the tractions divided by ``scale``; None if there are none."""
+    mesh = section.mesh
+    terms = [
+        traction_load(
+            v,
+            ufl.as_vector([fem.Constant(mesh, PETSc.ScalarType(t / scale)) for t in wall.traction]),
+            spaces.ds(section.wall_tags[name]),
+        )
+        for name, wall in walls.items()
+        if any(wall.traction)
+    ]
+    return sum(terms[1:], terms[0]) if terms else None
+
+
+def outflow(u, walls, section, spaces):
+    """Return the form of the flux that the walls prescribe, u.n integrated, m^2/s."""
+    n = ufl.FacetNormal(section.mesh)
+    held = [
+        name
+        for name, wall in walls.items()
+        if wall.velocity[NORMAL[name]] is not None and not is_inclined_slip(name, wall, section)
+    ]
+    terms = [ufl.dot(u, n) * spaces.ds(section.wall_tags[name]) for name in held]
+    return sum(terms[1:], terms[0])

@@ -1,0 +1,169 @@
+"""The engine that moves a section by Stokes flow.
+
+An engine offers `stable_step` and `advance`; the loop knows nothing else of the physics. A
+discrete-element engine will offer the same two.
+"""
+
+import time
+from contextlib import contextmanager
+from dataclasses import replace
+
+import numpy as np
+
+from meshes.box import section_mesh
+from restoration.advection import FROZEN, STEPPERS
+from restoration.errors import SolveError
+from restoration.lines import points_of, refined, with_points
+from restoration.particles import CellIndex, fill_empty, from_cloud, relocate, seed
+from restoration.scene import WALLS
+from restoration.spaces import Spaces
+from restoration.state import State
+from restoration.stokes import StokesProblem
+from restoration.transfer import RockFields, velocity_at
+
+# A horizon is kept this many times finer than the mesh, see `lines.refined`.
+LINE_POINTS_PER_CELL = 4
+LINE_POINTS_PER_CELL_AT_TURNS = 32
+
+
+class StokesEngine:
+    """Moves a section by Stokes flow on a mesh that stands still.
+
+    Args:
+        scene: `scene.Scene`.
+
+    Attributes:
+        counts: solves, factorisations, worst residual.
+        refilled: particles born so far to fill empty cells.
+        held_back: times a particle was set back onto a closed wall.
+        seconds: wall time by part, s.
+    """
+
+    def __init__(self, scene):
+        self.seconds = dict.fromkeys(("setup", "fields", "solve", "advect"), 0.0)
+        with self._timed("setup"):
+            self.scene = scene
+            self.section = section_mesh(scene.outline.surface, scene.outline.base, scene.cells)
+            self.spaces = Spaces(self.section)
+            self.index = CellIndex(self.section.corners, self.section.neighbours)
+            self.cell_size = float(np.sqrt(4 * self.index.area.mean()))
+            self.eta0 = float(scene.unit_viscosity.min())
+            relative = scene.unit_viscosity / self.eta0
+            self.fields = RockFields(
+                self.spaces, self.index, scene.unit_density, relative, scene.transfer
+            )
+            self.stokes = StokesProblem(
+                self.section,
+                self.spaces,
+                self.fields.rho,
+                self.fields.eta,
+                self.eta0,
+                scene.walls,
+                scene.gravity,
+                scene.closed,
+                scene.one_viscosity,
+            )
+        self.refilled = 0
+        self.held_back = 0
+
+    @property
+    def counts(self):
+        """What the solver has done so far."""
+        return self.stokes.counts
+
+    def start(self):
+        """Return the state at the first mark."""
+        scene = self.scene
+        if scene.cloud is not None:
+            particles = from_cloud(scene.cloud, scene.outline)
+        else:
+            particles = seed(
+                scene.outline, scene.cells, scene.lines, scene.particles, scene.unit_at
+            )
+        particles = self._settled(relocate(particles, self.index))
+        return State(scene.time.marks[0], particles, scene.lines)
+
+    def with_flow(self, state):
+        """Return the state with its flow solved for."""
+        if state.flow is not None:
+            return state
+        weights = self.index.locate(state.particles.x, state.particles.cell)[1]
+        return replace(state, flow=self._solve(state.particles, weights))
+
+    def stable_step(self, state):
+        """Return the longest step that crosses ``courant`` cells, s; positive.
+
+        Raises:
+            SolveError: the velocity is not finite.
+        """
+        speed = np.linalg.norm(state.flow.u, axis=1)[self.spaces.v_nodes].max(axis=1)
+        fastest = float((speed / np.sqrt(4 * self.index.area)).max())
+        if not np.isfinite(fastest):
+            raise SolveError("the velocity is not finite; no time step is possible")
+        return self.scene.time.courant / fastest if fastest > 0 else np.inf
+
+    def advance(self, state, until):
+        """Return the state moved to the time ``until``, s; earlier than now restores."""
+        dt = until - state.time
+        n = len(state.particles.x)
+        asked = 0
+
+        def velocity(x):
+            """Return velocities of particles and line points, solving Stokes for the rock at x."""
+            nonlocal asked
+            first, asked = asked == 0, asked + 1
+            with self._timed("advect"):
+                moved = relocate(state.particles, self.index, x[:n])
+                cell, weights = self.index.locate(x, np.r_[moved.cell, line_cells])
+            frozen = first or self.scene.time.scheme in FROZEN
+            flow = state.flow if frozen else self._solve(moved, weights[:n])
+            with self._timed("advect"):
+                return velocity_at(self.spaces.v_nodes, flow.u, cell, weights)
+
+        points = points_of(state.lines)
+        line_cells = self.index.guess(points)
+        x = STEPPERS[self.scene.time.scheme](np.concatenate([state.particles.x, points]), velocity, dt)
+        with self._timed("advect"):
+            x = self._on_walls(x)
+            particles = self._settled(relocate(state.particles, self.index, x[:n]))
+            lines = refined(
+                with_points(state.lines, x[n:]),
+                self.cell_size / LINE_POINTS_PER_CELL,
+                self.cell_size / LINE_POINTS_PER_CELL_AT_TURNS,
+            )
+        return State(until, particles, lines)
+
+    def _solve(self, particles, weights):
+        with self._timed("fields"):
+            self.fields.fill(
+                particles.x, particles.cell, weights, particles.unit, particles.area
+            )
+        with self._timed("solve"):
+            return self.stokes.solve()
+
+    def _settled(self, particles):
+        particles, born = fill_empty(particles, self.index)
+        self.refilled += born
+        return particles
+
+    def _on_walls(self, x):
+        """Return the points with those that a step carried through a closed wall set back onto it.
+
+        No rock crosses such a wall; a step of finite length can, by its own error.
+        """
+        outline, walls = self.scene.outline, self.scene.walls
+        held = {name: walls[name].velocity[k // 2] == 0 for k, name in enumerate(WALLS)}
+        low = np.where(held["left"], outline.surface[0, 0], -np.inf)
+        high = np.where(held["right"], outline.surface[-1, 0], np.inf)
+        across = np.clip(x[:, 0], low, high)
+        bottom = np.interp(across, *outline.base.T) if held["base"] else -np.inf
+        top = np.interp(across, *outline.surface.T) if held["surface"] else np.inf
+        inside = np.column_stack([across, np.clip(x[:, 1], bottom, top)])
+        self.held_back += int(np.count_nonzero(np.any(inside != x, axis=1)))
+        return inside
+
+    @contextmanager
+    def _timed(self, part):
+        begin = time.perf_counter()
+        yield
+        self.seconds[part] += time.perf_counter() - begin

@@ -1,0 +1,24 @@
+"""The state of a run at one time."""
+
+from dataclasses import dataclass
+
+from restoration.particles import Particles
+from restoration.scene import Line
+from restoration.stokes import Flow
+
+
+@dataclass(frozen=True, eq=False)
+class State:
+    """Where the rock is.
+
+    Attributes:
+        time: model time, s.
+        particles: located `Particles`.
+        lines: horizons and faults.
+        flow: the flow at this time; None until it is solved for.
+    """
+
+    time: float
+    particles: Particles
+    lines: tuple[Line, ...]
+    flow: Flow | None = None
