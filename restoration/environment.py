@@ -82,7 +82,7 @@ def _wrong_numpy(path, system):
     if found == built_for:
         return []
     if site.is_relative_to(sys.prefix):
-        advice = f"run 'make setup', or '{sys.executable} -m pip install numpy=={built_for}'"
+        advice = f"run 'make setup', or pip install numpy=={built_for} there"
     else:
         advice = "take that folder off PYTHONPATH, or set PYTHONNOUSERSITE=1"
     return [f"numpy {found} in {site} hides {built_for}, which dolfinx was built for; {advice}"]

@@ -52,7 +52,7 @@ def test_a_wrong_numpy_is_named_with_its_cure(system, libraries, tmp_path, monke
     monkeypatch.setattr(sys, "prefix", str(tmp_path))
     with pytest.raises(EnvironmentFault, match=r"numpy 2.3.1 in .*venv hides 1.24.2") as caught:
         environment.check_environment([str(venv), str(system)], system, libraries)
-    assert "pip install numpy==1.24.2" in str(caught.value)
+    assert "pip install numpy==1.24.2 there" in str(caught.value)
     assert "\n" not in str(caught.value)
     assert caught.value.exit_code == 2
 
