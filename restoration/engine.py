@@ -12,10 +12,19 @@ import numpy as np
 
 from meshes.box import section_mesh
 from restoration.advection import FROZEN, STEPPERS
+from restoration.boundary import NORMAL
 from restoration.errors import SolveError
 from restoration.lines import points_of, refined, with_points
-from restoration.particles import CellIndex, fill_empty, from_cloud, relocate, seed
+from restoration.particles import (
+    CellIndex,
+    empty_cells,
+    fill_cells,
+    from_cloud,
+    relocate,
+    seed,
+)
 from restoration.scene import WALLS
+from restoration.snapshot import FieldSnapshot
 from restoration.spaces import Spaces
 from restoration.state import State
 from restoration.stokes import StokesProblem
@@ -34,7 +43,9 @@ class StokesEngine:
 
     Attributes:
         counts: solves, factorisations, worst residual.
-        refilled: particles born so far to fill empty cells.
+        born: particles born so far to fill cells.
+        empty_cells: cells without a particle after the last step; their rock is read from the
+            particles around them.
         held_back: times a particle was set back onto a closed wall.
         seconds: wall time by part, s.
     """
@@ -46,6 +57,7 @@ class StokesEngine:
             self.section = section_mesh(scene.outline.surface, scene.outline.base, scene.cells)
             self.spaces = Spaces(self.section)
             self.index = CellIndex(self.section.corners, self.section.neighbours)
+            self.start_area = float(self.index.area.sum())
             self.cell_size = float(np.sqrt(4 * self.index.area.mean()))
             self.eta0 = float(scene.unit_viscosity.min())
             relative = scene.unit_viscosity / self.eta0
@@ -63,13 +75,39 @@ class StokesEngine:
                 scene.closed,
                 scene.one_viscosity,
             )
-        self.refilled = 0
+        self.sealed = all(
+            wall.velocity[NORMAL[name]] == 0 for name, wall in scene.walls.items()
+        )
+        self.born = 0
+        self.empty_cells = 0
         self.held_back = 0
 
     @property
     def counts(self):
         """What the solver has done so far."""
         return self.stokes.counts
+
+    @property
+    def active(self):
+        """What this scene makes the engine do, in words, and nothing else."""
+        scene = self.scene
+        parts = [
+            "plane strain Stokes flow, P2/P1 triangles, direct solver",
+            "one factorisation for the whole run"
+            if scene.one_viscosity
+            else "a factorisation for every solve",
+            "pressure fixed at the surface" if scene.closed else "pressure set by a wall",
+            f"density by {scene.transfer.density}, viscosity by {scene.transfer.viscosity} "
+            f"({scene.transfer.mean})",
+            f"steps by {scene.time.scheme}",
+        ]
+        if not self.sealed:
+            parts.append("particles born where rock flows in")
+        return parts
+
+    def snapshot(self):
+        """Return the reader of the fields for files."""
+        return FieldSnapshot(self.spaces, self.fields, self.eta0)
 
     def start(self):
         """Return the state at the first mark."""
@@ -142,9 +180,26 @@ class StokesEngine:
             return self.stokes.solve()
 
     def _settled(self, particles):
-        particles, born = fill_empty(particles, self.index)
-        self.refilled += born
-        return particles
+        """Return the particles with new ones where the fields could not be filled without.
+
+        A cell that runs empty inside a sealed section reads its rock from the particles around it,
+        continuously as they move. A birth is a jump that the way back cannot undo (measured: 45 m
+        instead of 4 m after 6 Myr there and back, from 20 births), so particles are born only where
+        all is empty for two cells around, and wherever a wall lets rock in.
+        """
+        empty = empty_cells(particles, len(self.index.area))
+        self.empty_cells = len(empty)
+        if self.sealed and len(empty):
+            nodes = self.spaces.q_nodes
+            held = np.ones(len(nodes), bool)
+            held[empty] = False
+            served = np.zeros(nodes.max() + 1, bool)
+            for _ in range(2):
+                served[nodes[held]] = True
+                held = served[nodes].any(axis=1)
+            empty = empty[~served[nodes[empty]].all(axis=1)]
+        self.born += len(empty)
+        return fill_cells(particles, self.index, empty)
 
     def _on_walls(self, x):
         """Return the points with those that a step carried through a closed wall set back onto it.
@@ -152,7 +207,7 @@ class StokesEngine:
         No rock crosses such a wall; a step of finite length can, by its own error.
         """
         outline, walls = self.scene.outline, self.scene.walls
-        held = {name: walls[name].velocity[k // 2] == 0 for k, name in enumerate(WALLS)}
+        held = {name: walls[name].velocity[NORMAL[name]] == 0 for name in WALLS}
         low = np.where(held["left"], outline.surface[0, 0], -np.inf)
         high = np.where(held["right"], outline.surface[-1, 0], np.inf)
         across = np.clip(x[:, 0], low, high)

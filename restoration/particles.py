@@ -204,36 +204,36 @@ def relocate(particles, index, x=None):
     return replace(particles, x=x, cell=cell)
 
 
-def fill_empty(particles, index):
-    """Give every empty cell one particle with the unit of the nearest particle.
+def empty_cells(particles, n_cells):
+    """Return the cells that hold no particle, int32."""
+    inside = particles.cell[particles.cell != OUTSIDE]
+    return np.flatnonzero(np.bincount(inside, minlength=n_cells) == 0).astype(np.int32)
+
+
+def fill_cells(particles, index, cells):
+    """Give every one of ``cells`` a particle with the unit of the nearest particle.
 
     Args:
         particles: located `Particles`.
         index: `CellIndex`.
+        cells: cells to fill, int32.
 
     Returns:
-        The particles, the new ones at the end, and the number of new ones.
+        The particles, the new ones at the end.
 
     Raises:
         ParticleError: no particle is left in the mesh.
     """
+    if not len(cells):
+        return particles
     inside = np.flatnonzero(particles.cell != OUTSIDE)
     if not inside.size:
         raise ParticleError("no particle is left inside the section; check the boundary velocities")
-    held = np.bincount(particles.cell[inside], minlength=len(index.corners))
-    empty = np.flatnonzero(held == 0).astype(np.int32)
-    if not empty.size:
-        return particles, 0
-    centre = index.corners[empty].mean(axis=1)
+    centre = index.corners[cells].mean(axis=1)
     nearest = inside[cKDTree(particles.x[inside]).query(centre)[1]]
-    born = Particles(
-        centre,
-        particles.unit[nearest],
-        index.area[empty],
-        np.full_like(centre, np.nan),
-        empty,
-    )
-    return joined(particles, born), int(empty.size)
+    nowhere = np.full_like(centre, np.nan)
+    born = Particles(centre, particles.unit[nearest], index.area[cells], nowhere, cells)
+    return joined(particles, born)
 
 
 def joined(one, two):

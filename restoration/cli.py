@@ -1,0 +1,139 @@
+"""The command line: ``restore run|check CASE``."""
+
+import argparse
+import json
+import os
+import sys
+from pathlib import Path
+
+from restoration import __version__
+from restoration.environment import check_environment, use_jit_cache, use_numba_cache
+from restoration.errors import CaseError, RestorationError
+
+DESCRIPTION = "Restore geological sections by reverse-time Stokes flow."
+
+
+def main(arguments=None):
+    """Run a command and return its exit code (see docs/design.md)."""
+    options = _parser().parse_args(arguments)
+    try:
+        return options.command(options)
+    except RestorationError as error:
+        print(error, file=sys.stderr)
+        return error.exit_code
+    except KeyboardInterrupt:
+        print("stopped at once; the run folder ends with the last whole frame", file=sys.stderr)
+        return 130
+    except MemoryError:
+        print("out of memory; lower mesh.cells or particles.per_cell", file=sys.stderr)
+        return 6
+    except BrokenPipeError:  # the reader of our output has gone: `restore check ... | head`
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 1
+
+
+def _parser():
+    parser = argparse.ArgumentParser("restore", description=DESCRIPTION, allow_abbrev=False)
+    parser.add_argument("--version", action="version", version=f"restore {__version__}")
+    commands = parser.add_subparsers(required=True, metavar="COMMAND")
+    run = commands.add_parser("run", help="run a case and write its run folder")
+    run.set_defaults(command=_run)
+    check = commands.add_parser("check", help="tell what a case would solve, or list a section")
+    check.set_defaults(command=_check)
+    for command in (run, check):
+        command.add_argument("case", metavar="CASE", help="case file, YAML")
+        command.add_argument(
+            "--set",
+            action="append",
+            default=[],
+            metavar="a.b=value",
+            help="replace an entry, such as time.scheme=midpoint; may be repeated",
+        )
+        command.add_argument(
+            "--allow-outside",
+            action="store_true",
+            help="let the case name files outside its own folder",
+        )
+    check.add_argument("--json", action="store_true", help="print JSON")
+    run.add_argument("--out", metavar="DIR", help="run folder; default runs/<case>-<hash8>")
+    run.add_argument("--fresh", action="store_true", help="throw an earlier run away")
+    run.add_argument("--quiet", action="store_true", help="no progress")
+    return parser
+
+
+def _load(options):
+    from restoration.resolve import load_scene
+
+    return load_scene(options.case, tuple(options.set), allow_outside=options.allow_outside)
+
+
+def _check(options):
+    from restoration.check import describe, describe_text, survey_text
+
+    if Path(options.case).suffix.lower() in (".geojson", ".json"):
+        print(survey_text(options.case))
+        return 0
+    case, scene = _load(options)
+    if options.json:
+        print(json.dumps(describe(case, scene), indent=1, allow_nan=False))
+    else:
+        print(describe_text(case, scene))
+    return 0
+
+
+def _run(options):
+    for warning in check_environment():
+        print(f"warning: {warning}", file=sys.stderr)
+    if Path(options.case).suffix.lower() in (".geojson", ".json"):
+        raise CaseError(
+            f"{options.case}: is a section, not a case; `restore check {options.case}` prints a "
+            "case to start from"
+        )
+    case, scene = _load(options)
+    from restoration.progress import Progress
+    from restoration.resolve import resolved_yaml
+    from restoration.run import Job, run_job
+
+    for note in scene.notes:
+        print(f"note: {note}", file=sys.stderr)
+    use_numba_cache()
+    use_jit_cache()
+    path = Path(options.case)
+    job = Job(
+        path.absolute(),
+        path.read_text(encoding="utf-8"),
+        resolved_yaml(case),
+        scene,
+        options.out,
+        options.fresh,
+    )
+    record, folder = run_job(job, None if options.quiet else Progress())
+    if record is None:
+        print(f"{folder} holds this very run, and it ended well; --fresh runs it again")
+        return 0
+    print(summary(record, folder))
+    return 0
+
+
+def summary(record, folder):
+    """Return what a run has to say at its end, in a few lines."""
+    lines = [
+        f"{record['steps']} steps, {record['stokes_solves']} Stokes solves, "
+        f"{record['wall_s']:.0f} s; particles lost: {record['particles_lost']}"
+    ]
+    back = record.get("there_and_back")
+    if back:
+        lines.append(
+            f"there and back: particles {back['mean_m']:.2f} m on average, p99 "
+            f"{back['p99_m']:.2f} m, at most {back['max_m']:.2f} m"
+        )
+        lines += [
+            f"  {row['name']}: {row['mean_m']:.2f} m on average, at most {row['max_m']:.2f} m"
+            for row in record["horizons"]
+        ]
+        lines.append(
+            "  (one scheme against itself: this measures reversibility, not the truth of a section)"
+        )
+    lines.append(f"pictures: {folder / 'figures'}")
+    lines.append(f"for ParaView: {folder / 'fields.xdmf'}, {folder / 'particles.xdmf'}")
+    return "\n".join(lines)

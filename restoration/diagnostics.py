@@ -1,0 +1,102 @@
+"""Numbers that tell how a run went. Nothing here writes a file."""
+
+import numpy as np
+import shapely
+
+from restoration.particles import OUTSIDE
+
+
+def there_and_back(particles):
+    """Return how far the particles are from where they started.
+
+    Args:
+        particles: `Particles` of a run that has returned to the time it started from.
+
+    Returns:
+        Distances, shape (n,), m, NaN for particles that were born later; and their mean, 99th
+        percentile and maximum as a dict of ``mean_m``, ``p99_m``, ``max_m``.
+    """
+    distance = np.linalg.norm(particles.x - particles.start, axis=1)
+    return distance, summary(distance[~np.isnan(distance)])
+
+
+def summary(distance):
+    """Return mean, 99th percentile and maximum of distances, m."""
+    return {
+        "mean_m": float(distance.mean()),
+        "p99_m": float(np.percentile(distance, 99)),
+        "max_m": float(distance.max()),
+    }
+
+
+def line_distances(before, after):
+    """Return the distances between lines of the same name, one entry per name.
+
+    Every vertex of one set is measured to the nearest point of the other set, both ways, so that
+    neither a spike nor a missing piece goes unseen. Vertices count by the length they stand for.
+
+    Args:
+        before, after: `scene.Line`s.
+
+    Returns:
+        List of ``{name, kind, mean_m, max_m}`` in the order of ``before``.
+    """
+    rows = []
+    for name, kind in dict.fromkeys((line.name, line.kind) for line in before):
+        one, two = ([line.points for line in lines if line.name == name] for lines in (before, after))
+        distance, length = (
+            np.concatenate(pair)
+            for pair in zip(_to_set(one, two), _to_set(two, one), strict=True)
+        )
+        mean = float(np.average(distance, weights=length)) if length.any() else 0.0
+        rows.append({"name": name, "kind": kind, "mean_m": mean, "max_m": float(distance.max())})
+    return rows
+
+
+def _to_set(pieces, others):
+    """Return distances of all vertices to the other pieces, and the length each stands for."""
+    target = shapely.MultiLineString([shapely.LineString(points) for points in others])
+    shapely.prepare(target)
+    distance = [shapely.distance(shapely.points(points), target) for points in pieces]
+    length = []
+    for points in pieces:
+        half = np.linalg.norm(np.diff(points, axis=0), axis=1) / 2
+        length.append(np.r_[half, 0] + np.r_[0, half])
+    return np.concatenate(distance), np.concatenate(length)
+
+
+def volume_by_rock(engine, particles):
+    """Return the area each rock fills on the mesh, m^2 (volume per metre of strike), by name.
+
+    The rock is read as the flow sees it, by the hat-weighted means, so clustering of particles and
+    empty patches show.
+    """
+    scene, index = engine.scene, engine.index
+    rock = np.array([unit.rock for unit in scene.units])
+    table = (rock[:, None] == np.arange(len(scene.rocks))).astype(float)
+    weights = index.locate(particles.x, particles.cell)[1]
+    share = engine.fields.hat_means(
+        table, particles.cell, weights, particles.unit, particles.area
+    )
+    nodes = engine.spaces.q_nodes
+    volume = np.einsum("c,cr->r", index.area, share[nodes].mean(axis=1))
+    return {rock.name: float(v) for rock, v in zip(scene.rocks, volume, strict=True)}
+
+
+def relative_change(first, last):
+    """Return (last - first) / first of every entry of two dicts; None where first is zero."""
+    return {name: (last[name] - v) / v if v else None for name, v in first.items()}
+
+
+def speeds(engine, flow):
+    """Return root mean square and greatest speed, m/s."""
+    area, nodes = engine.index.area, engine.spaces.v_nodes
+    squared = (flow.u**2).sum(axis=1)
+    # The rule of the edge middles is exact for polynomials of degree two: enough for a diagnostic.
+    mean = (area * squared[nodes[:, 3:]].mean(axis=1)).sum() / area.sum()
+    return float(np.sqrt(mean)), float(np.sqrt(squared.max()))
+
+
+def lost(particles):
+    """Return the number of particles outside the mesh."""
+    return int(np.count_nonzero(particles.cell == OUTSIDE))

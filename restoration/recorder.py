@@ -1,0 +1,315 @@
+"""The tasks of a run: what is written after a step, at a mark and at the end."""
+
+import resource
+import subprocess
+import time
+from pathlib import Path
+
+import numpy as np
+
+from restoration.diagnostics import (
+    line_distances,
+    relative_change,
+    speeds,
+    there_and_back,
+    volume_by_rock,
+)
+from restoration.engine import StokesEngine
+from restoration.environment import versions
+from restoration.errors import RestorationError, StoppedError
+from restoration.figures import draw_section, draw_strip, draw_there_and_back
+from restoration.output import (
+    Diagnostics,
+    MeshSeries,
+    ParticleSeries,
+    write_lines,
+    write_record,
+)
+from restoration.units import YEAR, show
+
+MYR = 1e6 * YEAR
+COLUMNS = (
+    "step",
+    "time_Myr",
+    "dt_kyr",
+    "stokes_solves",
+    "residual",
+    "rms_velocity_m_per_s",
+    "max_velocity_m_per_s",
+    "particles",
+    "particles_lost",
+    "particles_born",
+    "empty_cells",
+    "held_on_wall",
+    "wall_s",
+)
+BUG = 1  # exit code of what is not a RestorationError
+
+
+class Recorder:
+    """Writes the run folder of one job.
+
+    Args:
+        job: `run.Job`.
+        folder: the run folder, made and empty.
+        progress: `progress.Progress`, or None.
+        engine: makes the engine of a scene.
+
+    Attributes:
+        engine: the engine, after `begin`.
+        record: what run.json will hold.
+    """
+
+    def __init__(self, job, folder, progress=None, engine=StokesEngine):
+        self.job, self.scene, self.folder, self.progress = job, job.scene, Path(folder), progress
+        self._make_engine = engine
+        self.engine = None
+        self.steps, self.elapsed = 0, 0.0
+        self._began, self._output_s = time.perf_counter(), 0.0
+        self._marks = []  # (time, state) of every mark passed
+        self._last = None
+        self._panels = []
+        self._path = float(np.abs(np.diff(self.scene.time.marks)).sum())
+        self._log = (self.folder / "log.txt").open("w", encoding="utf-8")
+        self.record = {
+            "ended_well": False,
+            "engine": "stokes",
+            "case_sha256": job.sha256,
+            "ranks": 1,
+            "seed": self.scene.particles.seed,
+        }
+
+    def begin(self):
+        """Make the engine and open the files."""
+        self.say(f"{self.scene.title}: run folder {self.folder}")
+        self.record |= {"commit": commit(), "versions": versions()}
+        engine = self.engine = self._make_engine(self.scene)
+        self.snapshot = engine.snapshot()
+        scene = self.scene
+        self.fields = MeshSeries(self.folder / "fields.xdmf")
+        frame = {
+            "unit_names": [unit.name for unit in scene.units],
+            "surface": scene.outline.surface,
+            "base": scene.outline.base,
+        }
+        self.cloud = ParticleSeries(self.folder / "particles.xdmf", frame)
+        self.table = Diagnostics(self.folder / "diagnostics.csv", COLUMNS)
+        self.record |= {"cells": len(engine.index.area), "unknowns": engine.spaces.unknowns}
+        self.say(
+            f"{self.record['cells']} cells, {self.record['unknowns']} unknowns, "
+            f"marks {', '.join(show(mark, 'time') for mark in scene.time.marks)}"
+        )
+
+    def step(self, before, state):
+        """Write the row of a step and, where the case asks for steps, a frame."""
+        begin = time.perf_counter()
+        dt = state.time - before.time
+        self.steps += 1
+        self.elapsed += abs(dt)
+        self._last = state
+        rms, greatest = speeds(self.engine, state.flow)
+        self.table.write(
+            step=self.steps,
+            time_Myr=state.time / MYR,
+            dt_kyr=dt / MYR * 1e3,
+            stokes_solves=self.engine.counts.solves,
+            residual=state.flow.residual,
+            rms_velocity_m_per_s=rms,
+            max_velocity_m_per_s=greatest,
+            particles=len(state.particles.x),
+            particles_lost=state.particles.lost,
+            particles_born=self.engine.born,
+            empty_cells=self.engine.empty_cells,
+            held_on_wall=self.engine.held_back,
+            wall_s=time.perf_counter() - self._began,
+        )
+        self._tell(state, dt)
+        at = self.scene.output.at
+        if at != "marks" and self.steps % at == 0 and state.time not in self.scene.time.marks:
+            self._frame(state)
+        self._output_s += time.perf_counter() - begin
+
+    def mark(self, number, state):
+        """Write a frame, the lines and a picture at a mark."""
+        begin = time.perf_counter()
+        if number == 0:
+            self.say(f"{len(state.particles.x)} particles")
+        self._last = state
+        self._marks.append(state)
+        self._frame(state)
+        name = f"{number}-{state.time / MYR:.3f}Myr"
+        about = {"mark": number, "model_time_Myr": state.time / MYR}
+        write_lines(self.folder / "horizons" / f"{name}.geojson", state.lines, about)
+        draw_section(
+            self.folder / "figures" / f"section-{name}.png",
+            self.scene,
+            state.time,
+            state.particles.x,
+            state.particles.unit,
+            state.lines,
+            (self.snapshot.points, state.flow.u) if self.scene.output.arrows else None,
+        )
+        self.say(f"mark {number}: {show(state.time, 'time')} after {self.steps} steps")
+        self._output_s += time.perf_counter() - begin
+
+    def end(self, error=None):
+        """Write the last pictures and the record; return the record.
+
+        Args:
+            error: what ended the run early, or None.
+        """
+        begin = time.perf_counter()
+        if isinstance(error, (StoppedError, KeyboardInterrupt)):
+            code = StoppedError.exit_code
+        elif error is None:
+            code = 0
+        else:
+            code = error.exit_code if isinstance(error, RestorationError) else BUG
+        try:
+            if error is None:
+                self._compare()
+            elif code == StoppedError.exit_code and self._last is not None:
+                self._keep_last()
+        finally:
+            self._output_s += time.perf_counter() - begin
+            self._write_record(code)
+            if error is not None:
+                self.say(f"{type(error).__name__}: {error}", aloud=False)
+            self._log.close()
+        return self.record
+
+    def reached(self):
+        """Return how far the run came, in words."""
+        if self._last is None:
+            return "before the first step"
+        return (
+            f"at {show(self._last.time, 'time')} after {self.steps} steps "
+            f"({100 * self.elapsed / self._path:.0f} % of the way)"
+        )
+
+    def say(self, line, aloud=True):
+        """Write a line to the log and, aloud, to the user."""
+        print(line, file=self._log, flush=True)
+        if aloud and self.progress:
+            self.progress.say(line)
+
+    def _tell(self, state, dt):
+        share = self.elapsed / self._path
+        wall = time.perf_counter() - self._began
+        line = (
+            f"step {self.steps}  {show(state.time, 'time')}  dt {show(dt, 'time')}  "
+            f"{self.engine.counts.solves} solves  {100 * share:.0f} %  "
+            f"about {wall * (1 - share) / share:.0f} s left"
+        )
+        print(line, file=self._log)
+        if self.progress:
+            self.progress.update(line)
+
+    def _frame(self, state):
+        scene, particles = self.scene, state.particles
+        point, cell = self.snapshot.read(state.flow, scene.output.fields)
+        self.fields.write(
+            self.elapsed, self.snapshot.points, self.snapshot.triangles, point, cell, state.time
+        )
+        if scene.output.particles:
+            rock = np.array([unit.rock for unit in scene.units], np.int16)[particles.unit]
+            distance, _ = there_and_back(particles)
+            data = {
+                "unit": particles.unit,
+                "rock": rock,
+                "area": particles.area,
+                "displacement": distance,
+            }
+            self.cloud.write(self.elapsed, particles.x, data, state.time)
+
+    def _keep_last(self):
+        """Write where a stopped run is, unless a frame of that moment is there."""
+        if self._last.time not in [state.time for state in self._marks[-1:]]:
+            self._frame(self.engine.with_flow(self._last))
+        self.say(f"stopped {self.reached()}", aloud=False)
+
+    def _compare(self):
+        """Compare the ends of the run where it has come back to where it started."""
+        first, last = self._marks[0], self._marks[-1]
+        figures = self.folder / "figures"
+        if len(self._marks) > 1:
+            draw_strip(
+                figures / "strip.png",
+                [
+                    (self.scene, s.time, s.particles.x, s.particles.unit, s.lines)
+                    for s in self._marks
+                ],
+            )
+        volume = [volume_by_rock(self.engine, state.particles) for state in self._marks]
+        changes = [relative_change(volume[0], later) for later in volume[1:]]
+        self.record["volume_by_rock_change"] = {
+            name: max((change[name] for change in changes), key=abs)
+            for name in volume[0]
+            if volume[0][name]
+        }
+        area = self.engine.index.area.sum()
+        self.record["area_change"] = area / self.engine.start_area - 1
+        if last.time != first.time or len(self._marks) < 2:
+            return
+        distance, stats = there_and_back(last.particles)
+        rows = line_distances(first.lines, last.lines)
+        counts, edges = np.histogram(
+            np.log10(np.maximum(distance[~np.isnan(distance)], 1e-6)), bins=np.arange(-6, 6.5, 0.5)
+        )
+        self.record["there_and_back"] = stats | {
+            "histogram": {"log10_m": edges.tolist(), "count": counts.tolist()}
+        }
+        self.record["horizons"] = rows
+        draw_there_and_back(
+            figures / "there-and-back.png",
+            self.scene,
+            last.particles.start,
+            last.particles.x,
+            last.particles.unit,
+            first.lines,
+            last.lines,
+            stats | {"horizons": rows},
+        )
+
+    def _write_record(self, code):
+        engine, last = self.engine, self._last
+        if engine is not None:
+            seconds = engine.seconds | {"output": self._output_s}
+            self.record |= {
+                "active": engine.active,
+                "stokes_solves": engine.counts.solves,
+                "factorisations": engine.counts.factorisations,
+                "krylov_iterations": 0,
+                "worst_residual": engine.counts.worst_residual,
+                "wall_by_part_s": {name: round(value, 3) for name, value in seconds.items()},
+                "particles_born": engine.born,
+            }
+        if last is not None:
+            self.record |= {
+                "particles": len(last.particles.x),
+                "particles_lost": last.particles.lost,
+                "time_reached_s": last.time,
+            }
+        self.record |= {
+            "ended_well": code == 0,
+            "exit_code": code,
+            "steps": self.steps,
+            "wall_s": round(time.perf_counter() - self._began, 3),
+            "peak_rss_mb": round(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024, 1),
+        }
+        write_record(self.folder / "run.json", self.record)
+
+
+def commit():
+    """Return the commit of the code; None where it is not in a checkout."""
+    try:
+        done = subprocess.run(
+            ["git", "-C", str(Path(__file__).parent), "rev-parse", "HEAD"],
+            capture_output=True,
+            text=True,
+            timeout=5,
+            check=True,
+        )
+    except (OSError, subprocess.SubprocessError):
+        return None
+    return done.stdout.strip()

@@ -1,0 +1,211 @@
+"""The march through time, and a whole run with its folder.
+
+`march` knows no physics and no files; what is written is a task it calls.
+"""
+
+import hashlib
+import json
+import shutil
+import signal
+from dataclasses import dataclass
+from math import ceil
+from pathlib import Path
+
+from restoration.errors import CaseError, OutputError, StoppedError
+
+
+def next_time(t, mark, stable):
+    """Return the next model time on the way from ``t`` to ``mark``, s."""
+    n = ceil(abs(mark - t) / stable)
+    return mark if n <= 1 else t + (mark - t) / n
+
+
+def march(state, engine, plan, every_step=(), at_marks=()):
+    """March through the model times of a plan; decreasing marks restore.
+
+    Args:
+        state: `State` at the first mark.
+        engine: offers ``with_flow(state)``, ``stable_step(state)`` and ``advance(state, until)``.
+        plan: `scene.TimePlan`.
+        every_step: functions of the state before and after a step.
+        at_marks: functions of the number of the mark and the state there, from the first mark on.
+
+    Returns:
+        The state at the last mark.
+    """
+    state = engine.with_flow(state)
+    for task in at_marks:
+        task(0, state)
+    for number, mark in enumerate(plan.marks[1:], start=1):
+        longest = abs(mark - state.time) / plan.min_steps
+        while state.time != mark:
+            before = state
+            until = next_time(state.time, mark, min(engine.stable_step(state), longest))
+            state = engine.with_flow(engine.advance(state, until))
+            for task in every_step:
+                task(before, state)
+        for task in at_marks:
+            task(number, state)
+    return state
+
+
+@dataclass(frozen=True)
+class Job:
+    """A case and where its run goes.
+
+    Attributes:
+        path: the case file.
+        case_text: its text as given.
+        overrides: ``a.b=value`` texts.
+        resolved: text of the resolved case.
+        scene: `scene.Scene`.
+        out: run folder; None for ``runs/<case>-<hash8>`` in the working folder.
+        fresh: whether an earlier run in the folder is thrown away.
+    """
+
+    path: Path
+    case_text: str
+    overrides: tuple[str, ...]
+    resolved: str
+    scene: object
+    out: Path | None = None
+    fresh: bool = False
+
+    @property
+    def sha256(self):
+        """Hash of the resolved case: two runs of one hash answer the same question."""
+        return hashlib.sha256(self.resolved.encode()).hexdigest()
+
+    @property
+    def folder(self):
+        """Where the run goes."""
+        if self.out is not None:
+            return Path(self.out)
+        name = self.path.parent.name if self.path.stem == "case" else self.path.stem
+        return Path("runs") / f"{name or 'case'}-{self.sha256[:8]}"
+
+
+def prepare_folder(job):
+    """Make the run folder, or clear it of an earlier run of this tool.
+
+    Returns:
+        The folder; None where a run of this very case has ended well in it already.
+
+    Raises:
+        CaseError: the folder holds something else.
+        OutputError: it cannot be made.
+    """
+    folder = job.folder
+    try:
+        if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+            earlier = _earlier(folder)
+            if earlier is None:
+                raise CaseError(
+                    f"{folder}: is not a run folder and not empty; give another --out"
+                )
+            if not job.fresh and earlier != (job.sha256, True):
+                if earlier[0] != job.sha256:
+                    raise CaseError(
+                        f"{folder}: holds the run of another case; give another --out, or --fresh "
+                        "to throw it away"
+                    )
+            elif not job.fresh:
+                return None
+            _clear(folder)
+        for name in ("", "figures", "horizons"):
+            (folder / name).mkdir(parents=True, exist_ok=True)
+        (folder / "case.yaml").write_text(job.case_text, encoding="utf-8")
+        (folder / "resolved.yaml").write_text(job.resolved, encoding="utf-8")
+    except OSError as error:
+        raise OutputError(f"{folder}: {error.strerror}; give another --out") from error
+    return folder
+
+
+RUN_FILES = ("case.yaml", "resolved.yaml", "run.json", "diagnostics.csv", "log.txt")
+
+
+def _earlier(folder):
+    """Return hash and good end of the run in a folder; None if it is no run folder."""
+    if not (folder / "resolved.yaml").is_file():
+        return None
+    sha = hashlib.sha256((folder / "resolved.yaml").read_bytes()).hexdigest()
+    try:
+        return sha, bool(json.loads((folder / "run.json").read_text())["ended_well"])
+    except (OSError, ValueError, KeyError):
+        return sha, False
+
+
+def _clear(folder):
+    """Remove what a run leaves, and nothing else."""
+    for name in RUN_FILES:
+        (folder / name).unlink(missing_ok=True)
+    for pattern in ("fields*.xdmf", "fields*.h5", "particles*.xdmf", "particles*.h5"):
+        for path in folder.glob(pattern):
+            path.unlink()
+    for name in ("figures", "horizons"):
+        shutil.rmtree(folder / name, ignore_errors=True)
+
+
+class StopRequest:
+    """Turns Ctrl-C and SIGTERM into a wish that is granted after the step.
+
+    A second Ctrl-C ends at once.
+    """
+
+    def __init__(self):
+        self.wanted = False
+
+    def __enter__(self):
+        self._before = {s: signal.signal(s, self._ask) for s in (signal.SIGINT, signal.SIGTERM)}
+        return self
+
+    def __exit__(self, *_):
+        for number, handler in self._before.items():
+            signal.signal(number, handler)
+
+    def _ask(self, number, _frame):
+        if self.wanted and number == signal.SIGINT:
+            raise KeyboardInterrupt
+        self.wanted = True
+
+    def check(self, *_):
+        """Raise StoppedError if a stop was asked for."""
+        if self.wanted:
+            raise StoppedError("stopped on request")
+
+
+def run_job(job, progress=None):
+    """Run a job: set up, march, write; leave the record whatever happens.
+
+    Args:
+        job: `Job`.
+        progress: `Progress` to tell the user; None is silent.
+
+    Returns:
+        The record (a dict) and the run folder. The record of an earlier run that ended well is
+        returned unread as None.
+
+    Raises:
+        RestorationError: with the exit code; the folder then holds what was reached.
+    """
+    folder = prepare_folder(job)
+    if folder is None:
+        return None, job.folder
+    from restoration.recorder import Recorder  # loads dolfinx: only a run needs it
+
+    with StopRequest() as stop:
+        recorder = Recorder(job, folder, progress)
+        try:
+            stop.check()
+            recorder.begin()
+            march(
+                recorder.engine.start(),
+                recorder.engine,
+                job.scene.time,
+                every_step=(recorder.step, stop.check),
+                at_marks=(recorder.mark, stop.check),
+            )
+        except BaseException as error:
+            recorder.end(error)
+            raise
+        return recorder.end(), folder

@@ -1,0 +1,51 @@
+import numpy as np
+import pytest
+
+from restoration.lines import points_of, refined, with_points
+from restoration.scene import Line
+
+
+def arc(n, radius=100.0):
+    angle = np.linspace(0, np.pi, n)
+    return radius * np.column_stack([np.cos(angle), np.sin(angle)])
+
+
+def test_points_go_out_and_come_back():
+    lines = (Line("a", "horizon", arc(7)), Line("b", "fault", arc(4)))
+    moved = with_points(lines, points_of(lines) + 1)
+    assert [(line.name, line.kind, len(line.points)) for line in moved] == [
+        ("a", "horizon", 7),
+        ("b", "fault", 4),
+    ]
+    assert moved[1].points == pytest.approx(arc(4) + 1)
+    assert points_of(()).shape == (0, 2)
+    assert with_points((), points_of(())) == ()
+
+
+def test_new_vertices_lie_on_the_curve_to_fourth_order():
+    off = []
+    for n in (9, 17, 33):
+        (line,) = refined((Line("a", "horizon", arc(n)),), longest=1.0, shortest=0.1)
+        assert len(line.points) == 2 * n - 1
+        assert line.points[::2] == pytest.approx(arc(n))
+        inner = line.points[3:-3:2]
+        off.append(np.abs(np.linalg.norm(inner, axis=1) - 100).max())
+    assert np.log2(off[0] / off[1]) > 3.5
+    assert np.log2(off[1] / off[2]) > 3.5
+
+
+def test_short_segments_are_left_alone():
+    line = Line("a", "horizon", arc(200))
+    assert refined((line,), longest=50.0, shortest=10.0)[0].points is not None
+    assert len(refined((line,), longest=50.0, shortest=10.0)[0].points) == 200
+
+
+def test_sharp_turns_get_vertices():
+    corner = Line("a", "horizon", np.array([[0, 0], [10, 0], [20, 0], [20, 10], [20, 20.0]]))
+    points = refined((corner,), longest=50.0, shortest=1.0)[0].points
+    assert len(points) == 7
+
+
+def test_two_points_stay_two():
+    line = Line("a", "fault", np.array([[0, 0], [100, 0.0]]))
+    assert len(refined((line,), 10.0, 1.0)[0].points) in (2, 3)

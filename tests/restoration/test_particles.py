@@ -1,0 +1,122 @@
+import numpy as np
+import pytest
+from scipy.spatial import cKDTree
+
+from meshes.box import section_mesh
+from restoration.errors import ParticleError
+from restoration.particles import (
+    OUTSIDE,
+    CellIndex,
+    Particles,
+    empty_cells,
+    fill_cells,
+    from_cloud,
+    relocate,
+    seed,
+)
+from restoration.scene import Cloud, Outline, ParticlePlan
+
+RELIEF = Outline(
+    np.array([[0, 0], [300, 120], [700, -80], [1000, 50.0]]), np.array([[0, -900], [1000, -1000.0]])
+)
+
+
+@pytest.fixture(scope="module")
+def index():
+    section = section_mesh(RELIEF.surface, RELIEF.base, (20, 18))
+    return CellIndex(section.corners, section.neighbours)
+
+
+def cloud_at(x, unit=None):
+    n = len(x)
+    unit = np.zeros(n, np.int16) if unit is None else unit
+    return Particles(x, unit, np.ones(n), x.copy(), np.full(n, OUTSIDE, np.int32))
+
+
+def test_every_point_is_found_in_the_cell_that_holds_it(index):
+    rng = np.random.default_rng(0)
+    corner = index.corners[rng.integers(len(index.corners), size=5000)]
+    weights = rng.dirichlet([1, 1, 1], 5000)
+    x = np.einsum("nk,nkd->nd", weights, corner)
+    for guess in (np.full(5000, OUTSIDE), rng.integers(len(index.corners), size=5000)):
+        cell, found = index.locate(x, guess)
+        assert (cell != OUTSIDE).all()
+        assert found.min() > -1e-9
+        assert np.einsum("nk,nkd->nd", found, index.corners[cell]) == pytest.approx(x, abs=1e-8)
+
+
+def test_points_outside_are_marked_and_counted(index):
+    x = np.array([[500, 400.0], [-1, -500], [1001, -500], [500, -1200], [500, -500]])
+    cell, _ = index.locate(x, np.full(5, OUTSIDE))
+    assert (cell == OUTSIDE).tolist() == [True] * 4 + [False]
+    assert relocate(cloud_at(x), index).lost == 4
+
+
+def test_points_on_walls_and_corners_are_inside(index):
+    cell, _ = index.locate(np.concatenate([RELIEF.surface, RELIEF.base]), np.full(6, OUTSIDE))
+    assert (cell != OUTSIDE).all()
+
+
+def test_seeded_particles_fill_the_section_and_stand_for_its_area(make_scene):
+    scene = make_scene()
+    plan = ParticlePlan(per_cell=5, densify=10, jitter=0.5, seed=4)
+    particles = seed(RELIEF, (20, 18), scene.lines[:0], plan, lambda p: np.zeros(len(p)))
+    assert len(particles.x) == pytest.approx(5 * 4 * 20 * 18, rel=0.05)
+    assert particles.area.sum() == pytest.approx(RELIEF.area, rel=2e-3)
+    assert (np.interp(particles.x[:, 0], *RELIEF.surface.T) >= particles.x[:, 1]).all()
+    assert (np.interp(particles.x[:, 0], *RELIEF.base.T) <= particles.x[:, 1]).all()
+
+
+def test_seeding_is_denser_near_horizons_and_repeatable(make_scene):
+    scene = make_scene()
+    clouds = [
+        seed(scene.outline, (20, 22), scene.lines, ParticlePlan(4, densify, 0.3, 7), scene.unit_at)
+        for densify in (1, 8, 8)
+    ]
+    near = [
+        cKDTree(cloud.x).query_ball_point([4571, -8000], 300, return_length=True)
+        for cloud in clouds
+    ]
+    assert near[1] == pytest.approx(8 * near[0], rel=0.25)
+    assert np.array_equal(clouds[1].x, clouds[2].x)
+    assert clouds[1].area.sum() == pytest.approx(scene.outline.area, rel=1e-12)
+
+
+@pytest.mark.parametrize(("jitter", "regular"), [(0.0, True), (1.0, False)])
+def test_regular_or_jittered(make_scene, jitter, regular):
+    outline = make_scene().outline
+    x = seed(outline, (9, 10), (), ParticlePlan(4, 1, jitter, 1), lambda p: np.zeros(len(p))).x
+    assert (len(np.unique(x[:, 0].round(6))) < 50) == regular
+
+
+def test_units_follow_the_section(make_scene):
+    scene = make_scene()
+    cloud = seed(scene.outline, (12, 13), scene.lines, scene.particles, scene.unit_at)
+    assert np.array_equal(cloud.unit, scene.unit_at(cloud.x))
+    salt = cloud.area[cloud.unit == 0].sum()
+    assert salt == pytest.approx(9142 * 2000, rel=1e-2)  # the cosine adds nothing to the area
+
+
+def test_an_empty_cell_takes_the_nearest_rock(index):
+    centre = index.corners.mean(axis=1)
+    left = centre[:, 0] < 500
+    some = np.arange(len(centre)) % 3 > 0
+    particles = relocate(cloud_at(centre[some], left[some].astype(np.int16)), index)
+    empty = empty_cells(particles, len(centre))
+    assert np.array_equal(empty, np.flatnonzero(~some))
+    filled = fill_cells(particles, index, empty)
+    assert not len(empty_cells(filled, len(centre)))
+    assert filled.born.sum() == len(empty)
+    far = np.abs(centre[empty, 0] - 500) > 60
+    assert np.array_equal(filled.unit[filled.born][far], left[empty][far])
+
+
+def test_no_particle_at_all_is_an_error(index):
+    with pytest.raises(ParticleError, match="no particle is left inside the section"):
+        fill_cells(cloud_at(np.empty((0, 2))), index, np.array([0], np.int32))
+
+
+def test_a_cloud_shares_the_area(make_scene):
+    outline = make_scene().outline
+    given = from_cloud(Cloud(np.ones((8, 2)), np.zeros(8, np.int16)), outline)
+    assert given.area.sum() == pytest.approx(outline.area)
