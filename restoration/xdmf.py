@@ -204,7 +204,7 @@ def _numbers(name, values, rows):
     if "/" in name:
         raise ValueError(f"{name}: a name may not contain a slash")
     if values.dtype.kind == "f":
-        values = values.astype(np.float64)
+        values = values.astype(np.float64, copy=False)
     elif values.dtype.str[1:] not in NUMBERS:
         values = values.astype(np.int16 if values.dtype.itemsize == 1 else np.int64)
     if values.ndim == 2 and name != "points":

@@ -296,6 +296,12 @@ def elsewhere(h5):
     )
 
 
+def virtual(h5):
+    layout = h5py.VirtualLayout((3,), "f8")
+    layout[:] = h5py.VirtualSource("/etc/hostname", "x", shape=(3,))
+    h5.create_virtual_dataset("frames/000000/point/unit", layout)
+
+
 def nan(h5):
     h5["frames/000000/points"][0, 0] = np.nan
 
@@ -311,7 +317,7 @@ def no_frames(h5):
 
 @pytest.mark.parametrize(
     "attack",
-    [external, soft, filtered, huge, short, text, elsewhere, nan, no_json, no_frames],
+    [external, soft, filtered, huge, short, text, elsewhere, virtual, nan, no_json, no_frames],
     ids=lambda attack: attack.__name__,
 )
 def test_particles_of_foreign_files_are_refused(tmp_path, attack):
