@@ -43,10 +43,11 @@ def line_distances(before, after):
     """
     rows = []
     for name, kind in dict.fromkeys((line.name, line.kind) for line in before):
-        one, two = ([line.points for line in lines if line.name == name] for lines in (before, after))
+        one, two = (
+            [line.points for line in lines if line.name == name] for lines in (before, after)
+        )
         distance, length = (
-            np.concatenate(pair)
-            for pair in zip(_to_set(one, two), _to_set(two, one), strict=True)
+            np.concatenate(pair) for pair in zip(_to_set(one, two), _to_set(two, one), strict=True)
         )
         mean = float(np.average(distance, weights=length)) if length.any() else 0.0
         rows.append({"name": name, "kind": kind, "mean_m": mean, "max_m": float(distance.max())})
@@ -75,9 +76,7 @@ def volume_by_rock(engine, particles):
     rock = np.array([unit.rock for unit in scene.units])
     table = (rock[:, None] == np.arange(len(scene.rocks))).astype(float)
     weights = index.locate(particles.x, particles.cell)[1]
-    share = engine.fields.hat_means(
-        table, particles.cell, weights, particles.unit, particles.area
-    )
+    share = engine.fields.hat_means(table, particles.cell, weights, particles.unit, particles.area)
     nodes = engine.spaces.q_nodes
     volume = np.einsum("c,cr->r", index.area, share[nodes].mean(axis=1))
     return {rock.name: float(v) for rock, v in zip(scene.rocks, volume, strict=True)}

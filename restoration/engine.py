@@ -75,9 +75,7 @@ class StokesEngine:
                 scene.closed,
                 scene.one_viscosity,
             )
-        self.sealed = all(
-            wall.velocity[NORMAL[name]] == 0 for name, wall in scene.walls.items()
-        )
+        self.sealed = all(wall.velocity[NORMAL[name]] == 0 for name, wall in scene.walls.items())
         self.born = 0
         self.empty_cells = 0
         self.held_back = 0
@@ -160,7 +158,9 @@ class StokesEngine:
 
         points = points_of(state.lines)
         line_cells = self.index.guess(points)
-        x = STEPPERS[self.scene.time.scheme](np.concatenate([state.particles.x, points]), velocity, dt)
+        x = STEPPERS[self.scene.time.scheme](
+            np.concatenate([state.particles.x, points]), velocity, dt
+        )
         with self._timed("advect"):
             x = self._on_walls(x)
             particles = self._settled(relocate(state.particles, self.index, x[:n]))
@@ -173,9 +173,7 @@ class StokesEngine:
 
     def _solve(self, particles, weights):
         with self._timed("fields"):
-            self.fields.fill(
-                particles.x, particles.cell, weights, particles.unit, particles.area
-            )
+            self.fields.fill(particles.x, particles.cell, weights, particles.unit, particles.area)
         with self._timed("solve"):
             return self.stokes.solve()
 

@@ -32,7 +32,9 @@ def refined(lines, longest, shortest):
         longest: segments above this are halved, m.
         shortest: segments below this are left alone, m.
     """
-    return tuple(Line(line.name, line.kind, _refined(line.points, longest, shortest)) for line in lines)
+    return tuple(
+        Line(line.name, line.kind, _refined(line.points, longest, shortest)) for line in lines
+    )
 
 
 def _refined(points, longest, shortest):

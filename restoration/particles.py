@@ -247,5 +247,9 @@ def from_cloud(cloud, outline):
     n = len(cloud.x)
     area = np.full(n, outline.area / n)
     return Particles(
-        cloud.x.copy(), cloud.unit.astype(np.int16), area, cloud.x.copy(), np.full(n, OUTSIDE, np.int32)
+        cloud.x.copy(),
+        cloud.unit.astype(np.int16),
+        area,
+        cloud.x.copy(),
+        np.full(n, OUTSIDE, np.int32),
     )

@@ -56,7 +56,6 @@ class Job:
     Attributes:
         path: the case file.
         case_text: its text as given.
-        overrides: ``a.b=value`` texts.
         resolved: text of the resolved case.
         scene: `scene.Scene`.
         out: run folder; None for ``runs/<case>-<hash8>`` in the working folder.
@@ -65,7 +64,6 @@ class Job:
 
     path: Path
     case_text: str
-    overrides: tuple[str, ...]
     resolved: str
     scene: object
     out: Path | None = None
@@ -100,9 +98,7 @@ def prepare_folder(job):
         if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
             earlier = _earlier(folder)
             if earlier is None:
-                raise CaseError(
-                    f"{folder}: is not a run folder and not empty; give another --out"
-                )
+                raise CaseError(f"{folder}: is not a run folder and not empty; give another --out")
             if not job.fresh and earlier != (job.sha256, True):
                 if earlier[0] != job.sha256:
                     raise CaseError(
@@ -205,6 +201,9 @@ def run_job(job, progress=None):
                 every_step=(recorder.step, stop.check),
                 at_marks=(recorder.mark, stop.check),
             )
+        except StoppedError as stopped:
+            recorder.end(stopped)
+            raise StoppedError(f"stopped on request {recorder.reached()}; see {folder}") from None
         except BaseException as error:
             recorder.end(error)
             raise

@@ -86,9 +86,9 @@ class StokesProblem:
         load += source_load(test[1], self._leak, self.length, spaces.dx)
         self.load = fem.form(load if push is None else load + push)
         if closed:
-            self._leak.value = self._prescribed_outflow(walls) / np.abs(
-                _cell_areas(section.corners)
-            ).sum()
+            self._leak.value = (
+                self._prescribed_outflow(walls) / np.abs(_cell_areas(section.corners)).sum()
+            )
             self.bcs = [*self.bcs, pressure_pin(spaces)]
         p = fem.Function(spaces.Q)
         self._p = p

@@ -34,6 +34,7 @@ def solcx(contrast, at=0.5):
 
     def rows(x, eta):
         """Values of U, U', sigma_xx, sigma_xz (over pi) at x: coefficients and particular part."""
+
         def stress(value):
             u, du, d2u, d3u = (value(n) for n in range(4))
             # P from the vertical balance; W = -U'/pi
@@ -74,7 +75,5 @@ def solcx(contrast, at=0.5):
 def manufactured(points):
     """Return a smooth velocity and pressure in the unit square; u = 0 on the walls, div(u) = 0."""
     x, z = np.pi * points[:, 0], np.pi * points[:, 1]
-    u = np.column_stack(
-        [np.sin(x) ** 2 * np.sin(2 * z), -np.sin(2 * x) * np.sin(z) ** 2]
-    )
+    u = np.column_stack([np.sin(x) ** 2 * np.sin(2 * z), -np.sin(2 * x) * np.sin(z) ** 2])
     return u, np.cos(x) * np.cos(z)

@@ -24,7 +24,9 @@ def drift_after_a_turn(scheme, steps, direction=1):
     return abs(np.linalg.norm(x - CENTRE) - 3000), np.linalg.norm(x - START)
 
 
-@pytest.mark.parametrize(("scheme", "order"), [("euler", 1), ("paper", 1), ("midpoint", 2), ("rk4", 4)])
+@pytest.mark.parametrize(
+    ("scheme", "order"), [("euler", 1), ("paper", 1), ("midpoint", 2), ("rk4", 4)]
+)
 def test_order_on_the_rotation(scheme, order):
     steps = (200, 400, 800)
     gap = [drift_after_a_turn(scheme, n)[1] for n in steps]

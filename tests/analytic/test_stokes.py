@@ -26,9 +26,7 @@ def square(n, surface=((0, 1), (1, 1)), base=((0, 0), (1, 0)), up=None):
 
 
 def problem(section, spaces, rho, eta, walls, eta0=1.0, gravity=1.0, closed=True):
-    return StokesProblem(
-        section, spaces, rho, eta, eta0, walls, gravity, closed, steady=False
-    )
+    return StokesProblem(section, spaces, rho, eta, eta0, walls, gravity, closed, steady=False)
 
 
 def errors(spaces, flow, exact):
@@ -79,7 +77,9 @@ def manufactured_errors(n):
     stress = 2 * eta * ufl.sym(ufl.grad(u)) - p * ufl.Identity(2)
     stokes = problem(section, spaces, fem.Constant(section.mesh, 0.0), eta, NO_SLIP_BOX)
     v, _ = ufl.TestFunctions(spaces.W)
-    stokes.load = fem.form(ufl.inner(-ufl.div(stress), v) * ufl.dx(metadata={"quadrature_degree": 8}))
+    stokes.load = fem.form(
+        ufl.inner(-ufl.div(stress), v) * ufl.dx(metadata={"quadrature_degree": 8})
+    )
     return errors(spaces, stokes.solve(), manufactured)
 
 
@@ -151,7 +151,9 @@ def test_residual_in_rough_sections(contrast, blobs):
 def test_a_uniform_section_rests_under_its_weight():
     section, spaces = square(8)
     rho = fem.Constant(section.mesh, 2600.0)
-    flow = problem(section, spaces, rho, fem.Constant(section.mesh, 1.0), SLIP_BOX, 1e19, 9.81).solve()
+    flow = problem(
+        section, spaces, rho, fem.Constant(section.mesh, 1.0), SLIP_BOX, 1e19, 9.81
+    ).solve()
     depth = 1 - spaces.Q.tabulate_dof_coordinates()[:, 1]
     assert flow.p == pytest.approx(2600 * 9.81 * depth, abs=1e-6)
     assert np.abs(flow.u).max() < 1e-12 * 2600 * 9.81 / 1e19
@@ -167,7 +169,9 @@ def test_traction_and_prescribed_velocity():
         "surface": Wall("traction", (None, None), (0.0, -7.0)),
     }
     one = fem.Constant(section.mesh, 3.0)
-    flow = problem(section, spaces, fem.Constant(section.mesh, 0.0), one, walls, 1.0, 1.0, False).solve()
+    flow = problem(
+        section, spaces, fem.Constant(section.mesh, 0.0), one, walls, 1.0, 1.0, False
+    ).solve()
     at = spaces.V.tabulate_dof_coordinates()[:, :2]
     assert flow.u == pytest.approx(at * (2, -2), abs=1e-10)
     assert flow.p == pytest.approx(7 - 2 * 3 * 2, abs=1e-9)
@@ -203,7 +207,9 @@ def test_a_mirrored_section_gives_the_mirrored_flow():
     at = np.round(spaces.V.tabulate_dof_coordinates()[:, :2], 9)
     order = np.lexsort(at.T)
     mirror = np.lexsort(np.column_stack([np.round(1 - at[:, 0], 9), at[:, 1]]).T)
-    assert flows[0][order] == pytest.approx(flows[1][mirror] * (-1, 1), abs=1e-10 * np.abs(flows[0]).max())
+    assert flows[0][order] == pytest.approx(
+        flows[1][mirror] * (-1, 1), abs=1e-10 * np.abs(flows[0]).max()
+    )
 
 
 def test_a_section_that_nothing_holds_is_refused():

@@ -39,19 +39,21 @@ def diapir_scene(cells=(12, 13), viscosity=(1e19, 1e19), marks=(0, 1, 0), **plan
             np.array([[0, 0], [WIDTH, 0.0]]), np.array([[0, -HEIGHT], [WIDTH, -HEIGHT]])
         ),
     }
-    return Scene(
-        title="diapir",
-        rocks=(Rock("salt", 2150.0, viscosity[0], "#d8a0c0"),
-               Rock("sediment", 2600.0, viscosity[1], "#c0a060")),
-        units=(Unit("salt", 0, "#d8a0c0"), Unit("sediment", 1, "#c0a060")),
-        unit_at=lambda p: (p[:, 1] > diapir_top(p[:, 0])).astype(np.int16),
-        lines=(Line("salt / sediment", "horizon", np.column_stack([x, diapir_top(x)])),),
-        gravity=9.81,
-        cells=cells,
-        cloud=None,
-        notes=(),
-        **defaults | plans,
-    )
+    entries = {
+        "title": "diapir",
+        "rocks": (
+            Rock("salt", 2150.0, viscosity[0], "#d8a0c0"),
+            Rock("sediment", 2600.0, viscosity[1], "#c0a060"),
+        ),
+        "units": (Unit("salt", 0, "#d8a0c0"), Unit("sediment", 1, "#c0a060")),
+        "unit_at": lambda p: (p[:, 1] > diapir_top(p[:, 0])).astype(np.int16),
+        "lines": (Line("salt / sediment", "horizon", np.column_stack([x, diapir_top(x)])),),
+        "gravity": 9.81,
+        "cells": cells,
+        "cloud": None,
+        "notes": (),
+    }
+    return Scene(**entries | defaults | plans)
 
 
 @pytest.fixture(scope="session")

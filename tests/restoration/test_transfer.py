@@ -78,10 +78,13 @@ def test_hat_means_are_continuous_in_the_positions(box):
         moved[:, 0] = np.clip(moved[:, 0] + shift, 0, 1)
         cells, weights = index.locate(moved, cell)
         cloud = (moved, cells, weights)
-        return filled(box, [0, 1], [1, 1], ("hat", "hat", "harmonic"), unit, cloud).rho.x.array.copy()
+        return filled(
+            box, [0, 1], [1, 1], ("hat", "hat", "harmonic"), unit, cloud
+        ).rho.x.array.copy()
 
     steps = [np.abs(density(0.05 + d) - density(0.05)).max() for d in (1e-3, 1e-5, 1e-7)]
-    assert steps[1] < 0.03 * steps[0] and steps[2] < 0.03 * steps[1]
+    assert steps[1] < 0.03 * steps[0]
+    assert steps[2] < 0.03 * steps[1]
 
 
 def test_cells_without_particles_read_their_neighbours(box):
@@ -110,7 +113,9 @@ def test_density_mean_around_points_is_local(box):
     index = box[1]
     x, cell, weights = scattered(index, 60000)
     unit = (x[:, 1] > -0.5).astype(int)
-    fields = filled(box, [0, 1], [1, 1], ("quadrature", "hat", "harmonic"), unit, (x, cell, weights))
+    fields = filled(
+        box, [0, 1], [1, 1], ("quadrature", "hat", "harmonic"), unit, (x, cell, weights)
+    )
     values = fields.rho.x.array.reshape(len(index.area), -1)
     centre = index.corners.mean(axis=1)
     assert (values[centre[:, 1] > -0.3] == 1).all()

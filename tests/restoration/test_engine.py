@@ -1,0 +1,157 @@
+"""The engine against linear theory, and what there and back must give."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from restoration.diagnostics import (
+    line_distances,
+    relative_change,
+    speeds,
+    there_and_back,
+    volume_by_rock,
+)
+from restoration.engine import StokesEngine
+from restoration.particles import seed
+from restoration.run import march
+from restoration.scene import Cloud, Line, Outline, TimePlan, Transfer, Wall
+from tests.restoration.conftest import HEIGHT, MYR, WIDTH, diapir_scene
+
+# Initial rms velocity of van Keken's isoviscous diapir and of contrasts 10 and 100, computed
+# independently (Fourier series at finite amplitude, 10 digits), over drho g H^2 / eta_top.
+INITIAL_RMS = {1: 0.00018529497938115516, 10: 0.0006729607400473148}
+
+
+@pytest.mark.parametrize("ratio", INITIAL_RMS)
+def test_initial_velocity_meets_theory(ratio):
+    top = 1e19
+    scene = diapir_scene(cells=(32, 35), viscosity=(top / ratio, top))
+    engine = StokesEngine(scene)
+    state = engine.with_flow(engine.start())
+    rms, _ = speeds(engine, state.flow)
+    scale = (2600 - 2150) * 9.81 * HEIGHT**2 / top
+    assert rms / scale == pytest.approx(INITIAL_RMS[ratio], rel=0.015 if ratio == 1 else 0.05)
+
+
+@pytest.fixture(scope="module")
+def journey():
+    """A coarse diapir, 2 Myr forward and back."""
+    engine = StokesEngine(diapir_scene(marks=(0, 2, 0)))
+    start = engine.start()
+    states = []
+    march(start, engine, engine.scene.time, at_marks=(lambda _, state: states.append(state),))
+    return engine, states
+
+
+def test_the_diapir_rises_and_comes_back(journey):
+    engine, (first, top, last) = journey
+    crest = [state.lines[0].points[:, 1].max() for state in (first, top, last)]
+    assert crest[1] > crest[0] + 1000
+    assert crest[2] == pytest.approx(crest[0], abs=5)
+    distance, stats = there_and_back(last.particles)
+    assert stats["mean_m"] < 1
+    assert stats["mean_m"] <= stats["p99_m"] <= stats["max_m"] == np.nanmax(distance)
+    assert last.particles.lost == 0
+    assert engine.born == 0
+
+
+def test_horizons_and_volumes_come_back(journey):
+    engine, (first, top, last) = journey
+    (row,) = line_distances(first.lines, last.lines)
+    assert row["max_m"] < 5
+    before, middle, after = (volume_by_rock(engine, s.particles) for s in (first, top, last))
+    assert sum(before.values()) == pytest.approx(WIDTH * HEIGHT)
+    assert abs(relative_change(before, after)["salt"]) < 1e-3
+    assert abs(relative_change(before, middle)["salt"]) < 1e-2  # 12 cells across
+
+
+def test_one_viscosity_takes_one_factorisation(journey):
+    assert journey[0].counts.factorisations == 1
+    assert journey[0].counts.worst_residual < 1e-8
+
+
+@pytest.mark.parametrize("scheme", ["euler", "paper", "midpoint", "rk4"])
+def test_solves_per_step(scheme):
+    per_step = {"euler": 1, "paper": 1, "midpoint": 2, "rk4": 4}[scheme]
+    plan = TimePlan((0.0, 0.1 * MYR), scheme, 1.0, 3)
+    engine = StokesEngine(diapir_scene(time=plan))
+    march(engine.start(), engine, plan)
+    assert engine.counts.solves == 3 * per_step + 1
+
+
+def test_order_in_time_of_the_whole_scheme():
+    """Steps of the coupled problem, Stokes at every stage: rk4 beats midpoint beats the paper's."""
+    ends = {}
+    for scheme, n in (("rk4", 32), ("rk4", 8), ("midpoint", 8), ("paper", 8)):
+        plan = TimePlan((0.0, 1.0 * MYR), scheme, 1e9, n)
+        engine = StokesEngine(diapir_scene(time=plan))
+        ends[scheme, n] = march(engine.start(), engine, plan).particles.x
+    gap = {key: np.linalg.norm(x - ends["rk4", 32], axis=1).mean() for key, x in ends.items()}
+    assert gap["rk4", 8] < gap["midpoint", 8] / 5
+    assert gap["midpoint", 8] < gap["paper", 8] / 5
+
+
+def test_a_mirrored_section_gives_the_mirrored_run():
+    """Reflect the particles: the end is the reflection."""
+    plan = TimePlan((0.0, 1.0 * MYR), "rk4", 1.0, 5)
+    one = diapir_scene(time=plan)
+    seeded = seed(one.outline, one.cells, one.lines, one.particles, one.unit_at)
+    ends = []
+    for sign, shift in ((1, 0.0), (-1, WIDTH)):
+        flip = np.array([sign, 1]), np.array([shift, 0])
+        scene = replace(
+            one,
+            cloud=Cloud(seeded.x * flip[0] + flip[1], seeded.unit),
+            lines=(Line("top", "horizon", one.lines[0].points * flip[0] + flip[1]),),
+        )
+        engine = StokesEngine(scene)
+        end = march(engine.start(), engine, plan)
+        ends.append(end.particles.x * flip[0] + flip[1])
+    assert ends[1] == pytest.approx(ends[0], abs=1e-3)
+
+
+def test_rock_flows_in_and_is_filled():
+    """Extension at 10 mm/yr, filled from the top: the cells it opens get rock, and are counted."""
+    speed = 0.01 / 31557600
+    walls = diapir_scene().walls | {
+        "right": Wall("velocity", (-speed, None), (0.0, 0.0)),
+        "base": Wall("free-slip", (None, 0.0), (0.0, 0.0)),
+        "surface": Wall("traction", (None, None), (0.0, 0.0)),
+    }
+    plan = TimePlan((0.0, 0.3 * MYR), "midpoint", 0.5, 5)
+    engine = StokesEngine(diapir_scene(walls=walls, time=plan))
+    assert not engine.scene.closed
+    end = march(engine.start(), engine, plan)
+    assert engine.born > 0
+    assert end.particles.lost > 0  # pushed out through the surface
+    assert (
+        len(end.particles.x)
+        == end.particles.born.sum() + np.isfinite(end.particles.start[:, 0]).sum()
+    )
+
+
+def test_a_sloping_surface_keeps_its_rock():
+    top = np.array([[0, 0], [WIDTH, 400.0]])
+    scene = diapir_scene(
+        outline=Outline(top, np.array([[0, -HEIGHT], [WIDTH, -HEIGHT]])),
+        walls=diapir_scene().walls | {"surface": Wall("free-slip", (None, 0.0), (0.0, 0.0))},
+        marks=(0, 1, 0),
+    )
+    engine = StokesEngine(scene)
+    state = march(engine.start(), engine, scene.time)
+    assert state.particles.lost == 0
+    assert (state.particles.x[:, 1] <= np.interp(state.particles.x[:, 0], *top.T) + 1e-6).all()
+
+
+@pytest.mark.parametrize("density", ["cell", "quadrature"])
+def test_the_papers_projection_runs_too(density):
+    scene = diapir_scene(
+        viscosity=(1.4e17, 2.8e19),
+        transfer=Transfer(density, "cell", "harmonic"),
+        time=TimePlan((0.0, 0.2 * MYR, 0.0), "paper", 0.5, 4),
+    )
+    engine = StokesEngine(scene)
+    last = march(engine.start(), engine, scene.time)
+    assert there_and_back(last.particles)[1]["mean_m"] < 100
+    assert engine.counts.factorisations == engine.counts.solves

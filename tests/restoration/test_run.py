@@ -1,0 +1,192 @@
+import csv
+import itertools
+import json
+import os
+import signal
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from restoration.errors import CaseError, SolveError, StoppedError
+from restoration.output import RECORD
+from restoration.run import Job, StopRequest, march, next_time, run_job
+from restoration.saved import read_particles
+from restoration.scene import OutputPlan, TimePlan
+from tests.restoration.conftest import MYR, diapir_scene
+
+
+@dataclass(frozen=True)
+class FakeState:
+    time: float
+
+
+class FakeEngine:
+    """An engine without physics: the loop must not need any."""
+
+    def __init__(self, stable):
+        self.stable = stable
+
+    def with_flow(self, state):
+        return state
+
+    def stable_step(self, state):
+        return self.stable
+
+    def advance(self, state, until):
+        return FakeState(until)
+
+
+@pytest.mark.parametrize("marks", [(0, 10, 0), (0, -10), (5, 5.25, 100, -3)])
+@pytest.mark.parametrize("stable", [0.7, 3.0, 1e9])
+def test_the_march_passes_every_mark_exactly(marks, stable):
+    seen, passed = [marks[0]], []
+    march(
+        FakeState(marks[0]),
+        FakeEngine(stable),
+        TimePlan(marks, "rk4", 1.0, 4),
+        every_step=(lambda before, state: seen.append(state.time),),
+        at_marks=(lambda number, state: passed.append((number, state.time)),),
+    )
+    assert passed == list(enumerate(marks))
+    steps = np.abs(np.diff(seen))
+    assert steps.max() <= stable * (1 + 1e-12)
+    for a, b in itertools.pairwise(marks):
+        between = [t for t in seen if min(a, b) <= t <= max(a, b)]
+        assert len(between) >= 5  # min_steps
+
+
+def test_no_sliver_steps():
+    assert next_time(0, 10, 9.99) == 5
+    assert next_time(0, -10, 100) == -10
+
+
+def job(tmp_path, scene=None, **entries):
+    scene = scene or diapir_scene(cells=(8, 9), marks=(0, 0.5, 0))
+    made = Job(Path("x/case.yaml"), "title: as given\n", "resolved: 1\n", scene, tmp_path / "run")
+    return replace(made, **entries)
+
+
+def test_a_run_leaves_its_whole_folder(tmp_path):
+    record, folder = run_job(job(tmp_path))
+    written = json.loads((folder / "run.json").read_text())
+    assert list(written)[: len(RECORD)] == list(RECORD)
+    assert written["ended_well"] is True
+    assert written["exit_code"] == 0
+    assert written["particles_lost"] == 0
+    assert written["area_change"] == 0
+    assert written["there_and_back"]["mean_m"] == record["there_and_back"]["mean_m"] < 14
+    assert written["horizons"][0]["name"] == "salt / sediment"
+    assert abs(written["volume_by_rock_change"]["salt"]) < 0.05
+    assert sum(written["there_and_back"]["histogram"]["count"]) == written["particles"]
+    assert written["versions"]["dolfinx"]
+    assert written["surface_relief_m"] is None
+    assert (folder / "case.yaml").read_text() == "title: as given\n"
+    rows = list(csv.DictReader((folder / "diagnostics.csv").read_text().splitlines()))
+    assert len(rows) == written["steps"] == 10
+    assert [float(row["dt_kyr"]) > 0 for row in rows] == [True] * 5 + [False] * 5
+    assert float(rows[-1]["time_Myr"]) == 0
+    assert len(list((folder / "horizons").glob("*.geojson"))) == 3
+    assert len(list((folder / "figures").glob("section-*.png"))) == 3
+    assert (folder / "figures" / "there-and-back.png").stat().st_size > 10_000
+    assert (folder / "figures" / "strip.png").exists()
+    assert "step 10" in (folder / "log.txt").read_text()
+
+
+def test_paraview_sees_the_run(tmp_path):
+    pyvista = pytest.importorskip("pyvista")
+    scene = diapir_scene(
+        cells=(8, 9),
+        marks=(0, 0.5, 0),
+        output=OutputPlan(
+            2, ("velocity", "pressure", "density", "viscosity", "strain_rate"), True, False, 1.0
+        ),
+    )
+    _, folder = run_job(job(tmp_path, scene))
+    reader = pyvista.XdmfReader(str(folder / "fields.xdmf"))
+    times = np.array(reader.time_values) / MYR
+    # a frame every 2 steps of 0.1 Myr, and the marks
+    assert times == pytest.approx([0, 0.2, 0.4, 0.5, 0.6, 0.8, 1.0])
+    reader.set_active_time_value(reader.time_values[-1])
+    mesh = reader.read()
+    block = mesh[0] if isinstance(mesh, pyvista.MultiBlock) else mesh
+    assert block["velocity"].shape == (block.n_points, 3)
+    assert block["pressure"].max() == pytest.approx(2600 * 9.81 * 8e3 + 2150 * 9.81 * 2e3, rel=0.05)
+    assert block["viscosity"] == pytest.approx(1e19)
+    assert block["density"].min() < 2200 < 2500 < block["density"].max()
+    saved = read_particles(folder / "particles.h5")
+    assert len(saved.x) == json.loads((folder / "run.json").read_text())["particles"]
+
+
+def test_ctrl_c_ends_within_a_step_and_tells_how_far(tmp_path, monkeypatch):
+    from restoration import recorder
+
+    row = recorder.Diagnostics.write
+
+    def interrupt(self, **values):
+        row(self, **values)
+        if values["step"] == 3:
+            os.kill(os.getpid(), signal.SIGINT)
+
+    monkeypatch.setattr(recorder.Diagnostics, "write", interrupt)
+    with pytest.raises(StoppedError, match=r"at 300 kyr after 3 steps \(30 % of the way\)"):
+        run_job(job(tmp_path))
+    written = json.loads((tmp_path / "run" / "run.json").read_text())
+    assert written["ended_well"] is False
+    assert written["exit_code"] == 75
+    assert written["steps"] == 3
+    assert written["there_and_back"] is None
+    assert written["time_reached_s"] == pytest.approx(0.3 * MYR)
+    assert len((tmp_path / "run" / "diagnostics.csv").read_text().splitlines()) == 4
+    saved = read_particles(tmp_path / "run" / "particles.h5")
+    assert len(saved.x) == written["particles"]
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
+def test_a_second_ctrl_c_ends_at_once():
+    with pytest.raises(KeyboardInterrupt), StopRequest():
+        os.kill(os.getpid(), signal.SIGINT)
+        os.kill(os.getpid(), signal.SIGINT)
+
+
+def test_a_failing_solve_leaves_a_record(tmp_path, monkeypatch):
+    from restoration import stokes
+
+    monkeypatch.setattr(stokes, "RESIDUAL", 1e-40)
+    with pytest.raises(SolveError, match="relative residual"):
+        run_job(job(tmp_path))
+    written = json.loads((tmp_path / "run" / "run.json").read_text())
+    assert written["exit_code"] == 3
+    assert written["ended_well"] is False
+
+
+def test_a_finished_run_is_not_run_again(tmp_path):
+    run_job(job(tmp_path))
+    stamp = (tmp_path / "run" / "run.json").stat().st_mtime_ns
+    record, _ = run_job(job(tmp_path))
+    assert record is None
+    assert (tmp_path / "run" / "run.json").stat().st_mtime_ns == stamp
+    record, _ = run_job(job(tmp_path, fresh=True))
+    assert record["ended_well"]
+
+
+def test_other_folders_are_left_alone(tmp_path):
+    (tmp_path / "run").mkdir()
+    (tmp_path / "run" / "thesis.tex").write_text("years of work")
+    for fresh in (False, True):
+        with pytest.raises(CaseError, match="is not a run folder and not empty"):
+            run_job(job(tmp_path, fresh=fresh))
+    assert (tmp_path / "run" / "thesis.tex").read_text() == "years of work"
+
+
+def test_a_run_of_another_case_is_not_overwritten(tmp_path):
+    run_job(job(tmp_path))
+    with pytest.raises(CaseError, match="holds the run of another case"):
+        run_job(job(tmp_path, resolved="resolved: 2\n"))
+
+
+def test_folder_name_follows_the_case():
+    made = Job(Path("a/salt/case.yaml"), "", "", None)
+    assert made.folder.name == f"salt-{made.sha256[:8]}"
+    assert Job(Path("a/exp1.yaml"), "", "", None).folder.name.startswith("exp1-")
