@@ -40,10 +40,10 @@ def slip_form(u, p, v, q, eta, length, ds, penalty=20.0):
 
     The normal traction stays in the equation, so the terms vanish for the exact solution; they are
     symmetric, and a constant pressure is still in the null space of a closed section.
-    Source: Freund & Stenberg (1995), On weakly imposed boundary conditions for second order problems.
+    Source: Freund & Stenberg (1995), Proc. 9th Int. Conf. Finite Elements in Fluids, 327-336.
     """
     n = FacetNormal(u.ufl_domain())
-    # The bound of the trace inequality for P2 strain rates is 2 * 3 / h with this h, for any shape.
+    # With this h the trace inequality bounds the penalty of P2 from below by 6, for any shape.
     h = CellVolume(u.ufl_domain()) / FacetArea(u.ufl_domain())
 
     def normal_stress(w, r):

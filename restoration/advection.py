@@ -1,8 +1,8 @@
 """Steps in time. A stepper is a function of a velocity; ``dt`` is signed, negative restores.
 
-``velocity`` maps positions (n, 2), m, to velocities (n, 2), m/s. Where it solves Stokes anew for the
-rock at those positions, the steppers keep their order in time; ``paper`` and ``euler`` ask for it
-once per step, the way the paper does.
+``velocity`` maps positions (n, 2), m, to velocities (n, 2), m/s. Where it solves Stokes anew for
+the rock at those positions, the steppers keep their order in time; ``paper`` and ``euler`` ask for
+it once per step, the way the paper does.
 """
 
 

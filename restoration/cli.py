@@ -17,6 +17,9 @@ def main(arguments=None):
     """Run a command and return its exit code (see docs/design.md)."""
     options = _parser().parse_args(arguments)
     try:
+        for warning in check_environment():
+            print(f"warning: {warning}", file=sys.stderr)
+        use_numba_cache()
         return options.command(options)
     except RestorationError as error:
         print(error, file=sys.stderr)
@@ -82,8 +85,6 @@ def _check(options):
 
 
 def _run(options):
-    for warning in check_environment():
-        print(f"warning: {warning}", file=sys.stderr)
     if Path(options.case).suffix.lower() in (".geojson", ".json"):
         raise CaseError(
             f"{options.case}: is a section, not a case; `restore check {options.case}` prints a "
@@ -96,7 +97,6 @@ def _run(options):
 
     for note in scene.notes:
         print(f"note: {note}", file=sys.stderr)
-    use_numba_cache()
     use_jit_cache()
     path = Path(options.case)
     job = Job(

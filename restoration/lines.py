@@ -1,4 +1,4 @@
-"""Horizons and faults in motion: points in one array with the particles, more where they stretch."""
+"""Horizons and faults in motion: points in one array, and more of them where they stretch."""
 
 import numpy as np
 

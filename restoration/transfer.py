@@ -15,9 +15,8 @@ from forms.rheology import VISCOSITY_OF_MEAN
 from restoration.particles import OUTSIDE
 from restoration.spaces import QUADRATURE_DEGREE
 
-# Weight of the particles of neighbouring vertices in a hat mean, for every cell they share. It keeps
-# the field smooth where a vertex loses the last particle of its own: with 1e-4 a diapir of 6 Myr
-# comes back to 28 m, with 0.1 to 3 m, and the forward run is as accurate (measured, docs/accuracy).
+# Weight of the particles of neighbouring vertices in a hat mean, for every cell they share. It
+# keeps the field smooth where a vertex loses the last particle of its own: see docs/accuracy.md.
 BACKGROUND = 0.1
 
 # f of `forms.rheology`, for the values of the particles.

@@ -15,13 +15,7 @@ WIDTH, DEPTH, GRID = 10_000.0, 6_000.0, 0.1  # m
 HEIGHTS = np.array([0, 700, 850, 1100, 1600, 2400, 3200, 3800, 4300, 4600, 4700])
 HALF_WIDTHS = np.array([5000, 5000, 1900, 1000, 650, 560, 700, 900, 800, 420, 0])
 AXIS = 4_800.0  # m, off the middle, so that left and right can be told apart
-LAYERS = {
-    "A": 900.0,
-    "B": 1900.0,
-    "C": 3000.0,
-    "D": 4100.0,
-    "E": 5200.0,
-}  # base of each on the flanks
+LAYERS = {"A": 900.0, "B": 1900.0, "C": 3000.0, "D": 4100.0, "E": 5200.0}  # m, bases on the flanks
 DRAG = 260.0  # m, how far the layers are dragged up along the stem
 
 
@@ -45,7 +39,7 @@ def top(base):
 
 
 def units():
-    """Return (unit, rock, polygon): the faces of one arrangement of lines, so that nothing gapes."""
+    """Return (unit, rock, polygon): faces of one arrangement of lines, so that nothing gapes."""
     frame = shapely.box(0, 0, WIDTH, DEPTH)
     body = salt()
     tops = [top(base) for base in list(LAYERS.values())[1:]]

@@ -6,10 +6,10 @@ import numpy as np
 def solcx(contrast, at=0.5):
     """Return the velocity and pressure of SolCx: a sinusoidal weight over a viscosity step.
 
-    Unit square, free slip all around, ``eta = 1`` left of ``at`` and ``contrast`` right of it, body
-    force ``sin(pi z) cos(pi x)`` upwards. With ``u = U(x) cos(pi z)`` the Stokes equations become one
-    ordinary equation of fourth order for U on each side, whose eight constants follow from the walls
-    and from the continuity of velocity and traction at the step.
+    Unit square, free slip all around, ``eta = 1`` left of ``at`` and ``contrast`` right of it,
+    body force ``sin(pi z) cos(pi x)`` upwards. With ``u = U(x) cos(pi z)`` the Stokes equations
+    become one ordinary equation of fourth order for U on each side, whose eight constants follow
+    from the walls and from the continuity of velocity and traction at the step.
     Source: Zhong (1996), Analytic solutions for Stokes' flow with lateral variations in viscosity;
     derived anew here.
 
