@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from restoration.canvas import time_text
 from restoration.diagnostics import (
     line_distances,
     relative_change,
@@ -134,6 +135,7 @@ class Recorder:
         begin = time.perf_counter()
         if number == 0:
             self.say(f"{len(state.particles.x)} particles")
+        before = self._marks[-1].time if self._marks else None
         self._last = state
         self._marks.append(state)
         self._frame(state)
@@ -148,6 +150,7 @@ class Recorder:
             state.particles.unit,
             state.lines,
             (self.snapshot.points, state.flow.u) if self.scene.output.arrows else None,
+            label=time_text(self.scene, state.time, before),
         )
         self.say(f"mark {number}: {show(state.time, 'time')} after {self.steps} steps")
         self._output_s += time.perf_counter() - begin
@@ -242,8 +245,9 @@ class Recorder:
             )
         volume = [volume_by_rock(self.engine, state.particles) for state in self._marks]
         changes = [relative_change(volume[0], later) for later in volume[1:]]
-        self.record["volume_by_rock_change"] = {
-            name: max((change[name] for change in changes), key=abs)
+        self.record["volume_by_rock_change"] = changes[-1]
+        self.record["volume_by_rock_largest_change"] = {
+            name: max((change[name] for change in changes if change[name] is not None), key=abs)
             for name in volume[0]
             if volume[0][name]
         }
