@@ -1,0 +1,120 @@
+"""Input files: found, inside their folder, of sane size, and text."""
+
+import os
+import stat
+from pathlib import Path
+
+from restoration.errors import CaseError, Fault
+from restoration.words import nearest
+
+MB = 1_000_000
+
+
+def read_text(path, shown, longest=MB):
+    """Return the text of a file.
+
+    Args:
+        path: where it is.
+        shown: its name in messages.
+        longest: greatest size, bytes.
+
+    Raises:
+        CaseError: missing, a folder, unreadable, too large, empty or not UTF-8 text.
+    """
+    raw = _bytes(Path(path), shown, longest)
+    if raw[:2] in (b"\xff\xfe", b"\xfe\xff"):
+        raise _fault(shown, "is UTF-16 text; save it as UTF-8")
+    if raw[:4] == b"PK\x03\x04":
+        raise _fault(shown, "is a zip archive; unpack it and name the file in it")
+    if b"\0" in raw:
+        raise _fault(shown, "is a binary file, not text")
+    try:
+        text = raw.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        line = raw[: error.start].count(b"\n") + 1
+        raise CaseError(
+            [
+                Fault(
+                    shown,
+                    line,
+                    None,
+                    "",
+                    f"byte 0x{raw[error.start]:02x} is not UTF-8 text; save it as UTF-8",
+                )
+            ]
+        ) from None
+    if not text.strip():
+        raise _fault(shown, "is empty")
+    return text
+
+
+def inside(folder, name, allow_outside=False):
+    """Return the path of a file that an input file of ``folder`` names.
+
+    Args:
+        folder: of the file that names it.
+        name: relative path as written.
+        allow_outside: whether it may lie elsewhere.
+
+    Raises:
+        ValueError: it is an address, not a plain path, or leaves the folder.
+    """
+    if "\0" in name or "://" in name or name.startswith("/vsi"):
+        raise ValueError(f"'{name}' is not a file name; copy the file beside the case")
+    if "\\" in name:
+        raise ValueError(f"'{name}' has backslashes; write {name.replace(chr(92), '/')}")
+    folder = Path(folder)
+    if allow_outside:
+        return folder / name
+    way_out = "copy it into the folder of the case, or allow it with --allow-outside"
+    if Path(name).is_absolute():
+        raise ValueError(f"'{name}' is an absolute path; {way_out}")
+    if ".." in Path(name).parts:
+        raise ValueError(f"'{name}' leaves the folder of the case; {way_out}")
+    try:
+        resolved = (folder / name).resolve()
+    except (OSError, RuntimeError):
+        raise ValueError(f"'{name}' is a link that leads nowhere") from None
+    if not resolved.is_relative_to(folder.resolve()):
+        raise ValueError(f"'{name}' is a link out of the folder of the case; {way_out}")
+    return folder / name
+
+
+def _bytes(path, shown, longest):
+    """Return the content of a regular file of sane size."""
+    try:
+        status = os.stat(path)
+        if stat.S_ISDIR(status.st_mode):
+            inner = path / "case.yaml"
+            raise _fault(shown, f"is a folder; name the file in it{_such(inner, shown)}")
+        if not stat.S_ISREG(status.st_mode):
+            raise _fault(shown, "is not a regular file")
+        if status.st_size > longest:
+            size = f"{status.st_size / MB:.1f} MB"
+            raise _fault(shown, f"is {size} large; at most {longest / MB:g} MB are read")
+        with open(path, "rb") as file:
+            return file.read(longest + 1)
+    except FileNotFoundError:
+        raise _fault(shown, f"no such file{_near(path)}") from None
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or error
+        raise _fault(shown, f"cannot be read: {reason}") from None
+
+
+def _such(inner, shown):
+    """Return the hint at the case file of a folder."""
+    return f", such as {shown.rstrip('/')}/case.yaml" if inner.is_file() else ""
+
+
+def _near(path):
+    """Return the hint at a file of nearly this name."""
+    try:
+        names = sorted(os.listdir(path.parent))[:1000]
+    except OSError:
+        return f"; there is no folder {path.parent.name}"
+    near = nearest(path.name, names)
+    return f"; did you mean '{near}'?" if near else ""
+
+
+def _fault(shown, message):
+    return CaseError([Fault(shown, None, None, "", message)])
