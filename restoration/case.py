@@ -6,6 +6,7 @@ nothing of meshes and solvers.
 
 import re
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Annotated
 
@@ -41,6 +42,8 @@ FREE_SURFACE = (
     "a free surface is not built yet; use free-slip for a surface that stays flat, or "
     "{traction: [0 MPa, 0 MPa]} for one that rock may cross"
 )
+# Entries of a section that only a file has a use for.
+FILE_ENTRIES = ("property", "rock_property", "coordinates", "vertical", "tolerance")
 NORMAL = {"left": 0, "right": 0, "base": 1, "surface": 1}
 COLOR = re.compile(r"#[0-9a-fA-F]{6}")
 
@@ -124,7 +127,7 @@ def read_marks(value):
         raise ValueError("a run needs two marks at least, such as [0 Myr, 6 Myr, 0 Myr]")
     if len({is_age(mark) for mark in marks}) == 2:
         raise ValueError("ages (Ma) and times (Myr) do not mix; write all marks in one")
-    for before, after in zip(marks, marks[1:], strict=False):
+    for before, after in pairwise(marks):
         if before.si == after.si:
             raise ValueError(
                 f"the march from {before.text} to {after.text} goes nowhere; give another mark"
@@ -483,8 +486,7 @@ def _section_faults(tree, section):
     if way == "file" and section.get("box") is not None:
         faults.append(tree.fault((*at, "box"), "the outline comes from the file; remove the box"))
     if way == "layers":
-        only = ("property", "rock_property", "coordinates", "vertical", "tolerance")
-        for name in only:
+        for name in FILE_ENTRIES:
             if name in section:
                 message = "says nothing about layers; remove it"
                 faults.append(tree.fault((*at, name), message, at="key"))

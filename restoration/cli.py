@@ -65,9 +65,9 @@ def _parser():
 
 
 def _load(options):
-    from restoration.resolve import load_scene
+    from restoration.resolve import load
 
-    return load_scene(options.case, tuple(options.set), allow_outside=options.allow_outside)
+    return load(options.case, tuple(options.set), options.allow_outside)
 
 
 def _check(options):
@@ -76,11 +76,11 @@ def _check(options):
     if Path(options.case).suffix.lower() in (".geojson", ".json"):
         print(survey_text(options.case))
         return 0
-    case, scene = _load(options)
+    loaded = _load(options)
     if options.json:
-        print(json.dumps(describe(case, scene), indent=1, allow_nan=False))
+        print(json.dumps(describe(loaded), indent=1, allow_nan=False))
     else:
-        print(describe_text(case, scene))
+        print(describe_text(loaded))
     return 0
 
 
@@ -90,23 +90,15 @@ def _run(options):
             f"{options.case}: is a section, not a case; `restore check {options.case}` prints a "
             "case to start from"
         )
-    case, scene = _load(options)
+    loaded = _load(options)
     from restoration.progress import Progress
-    from restoration.resolve import resolved_yaml
     from restoration.run import Job, run_job
 
-    for note in scene.notes:
+    for note in loaded.scene.notes:
         print(f"note: {note}", file=sys.stderr)
     use_jit_cache()
-    path = Path(options.case)
-    job = Job(
-        path.absolute(),
-        path.read_text(encoding="utf-8"),
-        resolved_yaml(case),
-        scene,
-        options.out,
-        options.fresh,
-    )
+    path = Path(options.case).absolute()
+    job = Job(path, loaded.text, loaded.resolved, loaded.scene, options.out, options.fresh)
     record, folder = run_job(job, None if options.quiet else Progress())
     if record is None:
         print(f"{folder} holds this very run, and it ended well; --fresh runs it again")
@@ -137,3 +129,7 @@ def summary(record, folder):
     lines.append(f"pictures: {folder / 'figures'}")
     lines.append(f"for ParaView: {folder / 'fields.xdmf'}, {folder / 'particles.xdmf'}")
     return "\n".join(lines)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

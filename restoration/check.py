@@ -1,0 +1,187 @@
+"""What a case would solve, told before anything is solved."""
+
+from itertools import pairwise
+
+import numpy as np
+
+from restoration.scene import WALLS
+from restoration.units import show
+
+# Stokes solves per step of each scheme (`advection.STEPPERS`), the first one shared with the step
+# length.
+SOLVES = {"euler": 1, "paper": 1, "midpoint": 2, "rk4": 4}
+# Memory of a run, measured from 4k to 160k unknowns: a base, and bytes for each unknown and particle.
+BASE_MB, PER_UNKNOWN, PER_PARTICLE = 250, 6000, 600
+
+
+def unknowns(cells):
+    """Return triangles and unknowns of P2/P1 on crossed squares.
+
+    Args:
+        cells: columns and rows of squares.
+    """
+    across, up = cells
+    triangles = 4 * across * up
+    vertices = (across + 1) * (up + 1) + across * up
+    edges = vertices + triangles - 1  # Euler's formula for a disc
+    return triangles, 2 * (vertices + edges) + vertices
+
+
+def describe(loaded):
+    """Return what a case would solve, as plain values in SI.
+
+    Args:
+        loaded: `resolve.Loaded`.
+    """
+    scene = loaded.scene
+    triangles, count = unknowns(scene.cells)
+    particles = _particles(scene, triangles)
+    spans = [b - a for a, b in pairwise(scene.time.marks)]
+    steps = scene.time.min_steps * len(spans)
+    return {
+        "title": scene.title,
+        "width_m": scene.outline.width,
+        "height_m": scene.outline.height,
+        "area_m2": scene.outline.area,
+        "rocks": [
+            {"name": r.name, "density": r.density, "viscosity": r.viscosity, "color": r.color}
+            for r in scene.rocks
+        ],
+        "units": [{"name": unit.name, "rock": scene.rocks[unit.rock].name} for unit in scene.units],
+        "lines": _lines(scene),
+        "walls": {
+            name: {
+                "kind": scene.walls[name].kind,
+                "velocity_m_per_s": scene.walls[name].velocity,
+                "traction_pa": scene.walls[name].traction,
+            }
+            for name in WALLS
+        },
+        "marks_s": list(scene.time.marks),
+        "scheme": scene.time.scheme,
+        "cells": triangles,
+        "unknowns": count,
+        "particles_about": particles,
+        "memory_mb_about": round(BASE_MB + (count * PER_UNKNOWN + particles * PER_PARTICLE) / 1e6),
+        "steps_at_least": steps,
+        "stokes_solves_at_least": steps * SOLVES[scene.time.scheme] + 1,
+        "viscosity_contrast": float(scene.unit_viscosity.max() / scene.unit_viscosity.min()),
+        "active": active(scene),
+        "notes": list(scene.notes),
+        "time_forecast_s": None,
+        "restorability": None,
+    }
+
+
+def active(scene):
+    """Return what the scene requires, and nothing else, with the reason for each."""
+    parts = ["plane strain Stokes flow on P2/P1 triangles, solved directly"]
+    if scene.one_viscosity:
+        parts.append("one factorisation for the whole run: one viscosity, a mesh that stands still")
+    else:
+        parts.append("a factorisation for every solve: the viscosity moves with the rock")
+    if scene.closed:
+        parts.append("the level of the pressure is set at the surface: no wall is left to itself")
+    else:
+        parts.append("the level of the pressure comes from the wall that is left to itself")
+    if len(scene.rocks) == 1:
+        parts.append("one rock: only the walls can move it")
+    if scene.gravity == 0:
+        parts.append("no gravity")
+    frozen = scene.time.scheme in ("euler", "paper")
+    parts.append(
+        f"steps by {scene.time.scheme}, "
+        + ("one flow for each step" if frozen else "Stokes solved at every stage")
+    )
+    parts.append(
+        f"density by {scene.transfer.density}, viscosity by {scene.transfer.viscosity} "
+        f"({scene.transfer.mean} mean)"
+    )
+    return parts
+
+
+def describe_text(loaded):
+    """Return what a case would solve, for people; arguments as `describe`."""
+    scene, about = loaded.scene, describe(loaded)
+    size = (
+        f"{show(scene.outline.width, 'length')} wide, {show(scene.outline.height, 'length')} high"
+    )
+    lines = [scene.title, f"section    {size}, {about['area_m2'] / 1e6:.4g} km^2"]
+    for rock in scene.rocks:
+        of = [unit.name for unit in scene.units if scene.rocks[unit.rock] is rock]
+        lines.append(
+            f"rock       {rock.name}: {show(rock.density, 'density')}, "
+            f"{show(rock.viscosity, 'viscosity')}"
+            + ("" if of == [rock.name] else f"; units {', '.join(of)}")
+        )
+    for line in about["lines"]:
+        pieces = f" in {line['pieces']} pieces" if line["pieces"] > 1 else ""
+        length = show(line["length_m"], "length")
+        lines.append(f"{line['kind']:<10} {line['name']}, {length} long{pieces}")
+    for name in WALLS:
+        lines.append(f"{name:<10} {_wall_text(scene.walls[name])}")
+    lines.append(f"gravity    {scene.gravity:g} m/s^2, downwards")
+    for a, b in pairwise(scene.time.marks):
+        way = "forward" if b > a else "restoring"
+        lines.append(f"march      from {show(a, 'time')} to {show(b, 'time')}, {way}")
+    across, up = scene.cells
+    lines += [
+        f"mesh       {across} x {up} squares, {about['cells']} triangles, "
+        f"{about['unknowns']} unknowns",
+        f"particles  about {about['particles_about']}",
+        f"work       at least {about['steps_at_least']} steps and "
+        f"{about['stokes_solves_at_least']} Stokes solves; more where the flow is fast "
+        f"(courant {scene.time.courant:g})",
+        f"memory     about {about['memory_mb_about']} MB",
+    ]
+    lines += [f"active     {part}" for part in about["active"]]
+    lines += [f"note       {note}" for note in scene.notes]
+    lines += ["", "# the case with every default", loaded.resolved.rstrip()]
+    return "\n".join(lines)
+
+
+def _lines(scene):
+    """Return horizons and faults by name with their length and pieces."""
+    rows = {}
+    for line in scene.lines:
+        row = rows.setdefault(
+            (line.name, line.kind),
+            {"name": line.name, "kind": line.kind, "length_m": 0.0, "pieces": 0},
+        )
+        row["length_m"] += float(np.linalg.norm(np.diff(line.points, axis=0), axis=1).sum())
+        row["pieces"] += 1
+    return list(rows.values())
+
+
+def _particles(scene, triangles):
+    """Return about how many particles there will be."""
+    if scene.cloud is not None:
+        return len(scene.cloud.x)
+    reach = max(scene.outline.width / scene.cells[0], scene.outline.height / scene.cells[1])
+    length = sum(row["length_m"] for row in _lines(scene))
+    dense = min(1.0, 2 * reach * length / scene.outline.area)
+    return round(triangles * scene.particles.per_cell * (1 + dense * (scene.particles.densify - 1)))
+
+
+def _wall_text(wall):
+    """Return a wall in words."""
+    if wall.kind == "velocity":
+        parts = ["free" if v is None else show(v, "velocity") for v in wall.velocity]
+        return f"velocity [{', '.join(parts)}]"
+    if wall.kind == "traction":
+        return f"traction [{', '.join(show(t, 'pressure') for t in wall.traction)}]"
+    return wall.kind
+
+
+def survey_text(path):
+    """Return what is in a bare section file, and a case file to start from.
+
+    Args:
+        path: a GeoJSON file.
+
+    Raises:
+        CaseError: it cannot be read.
+    """
+    from restoration.starter import survey_text as text
+
+    return text(path)
