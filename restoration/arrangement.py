@@ -1,0 +1,268 @@
+"""Drawn polygons as one exact arrangement of faces: gaps, overlaps, contacts and the frame.
+
+All boundaries are cut where they meet, on a fine grid, and each face between them is given to one
+polygon. Faces of no polygon are gaps, faces of several are overlaps; narrow ones are closed.
+"""
+
+from dataclasses import dataclass
+from math import floor, log10
+
+import numpy as np
+import shapely
+
+from restoration.geojson import place
+from restoration.scene import Outline
+
+STEEPEST = 20  # slope of surface and base above which they count as vertical
+FINEST = 1e-6  # grid on which boundaries meet, part of the height
+
+
+@dataclass(frozen=True, eq=False)
+class Flaw:
+    """A gap or an overlap.
+
+    Attributes:
+        gap: whether it is a gap.
+        shape: shapely Polygon.
+        patches: rows of the polygons that overlap, or that are beside the gap.
+        width: diameter of the greatest circle in it, m.
+    """
+
+    gap: bool
+    shape: object
+    patches: tuple[int, ...]
+    width: float
+
+    @property
+    def at(self):
+        """A point in it, as messages name it."""
+        return place(self.shape.representative_point().coords[0])
+
+
+@dataclass(frozen=True, eq=False)
+class Arrangement:
+    """Faces that fill a section without gap or overlap, where no flaws are left.
+
+    Attributes:
+        faces: shapely Polygons, shape (n,).
+        owner: row of the polygon each face belongs to, shape (n,).
+        flaws: gaps and overlaps that are too wide to be closed, the greatest first.
+        closed: those that were closed.
+        whole: union of all faces.
+        grid: spacing on which boundaries were cut, m.
+    """
+
+    faces: np.ndarray
+    owner: np.ndarray
+    flaws: list
+    closed: list
+    whole: object
+    grid: float
+
+
+def arrange(shapes, tolerance):
+    """Return the `Arrangement` of polygons.
+
+    Args:
+        shapes: valid shapely polygons, m; shape (n,).
+        tolerance: gaps and overlaps narrower than this are closed, m.
+    """
+    shapes = np.asarray(shapes, dtype=object)
+    x0, z0, x1, z1 = shapely.total_bounds(shapes)
+    grid = 10.0 ** floor(log10(FINEST * max(z1 - z0, 1e-3 * (x1 - x0), 1e-6)))
+    tolerance = max(tolerance, 10 * grid)
+    tree = shapely.STRtree(shapes)
+    notches = _notches(shapes, tree, tolerance, grid)
+    borders = shapely.boundary(np.append(shapes, notches))
+    noded = shapely.union_all(borders, grid_size=grid)
+    faces = shapely.get_parts(shapely.polygonize([noded]))
+    points = shapely.point_on_surface(faces)
+    face, patch = tree.query(points, predicate="intersects")
+    order = np.lexsort((patch, face))
+    face, patch = face[order], patch[order]
+    count = np.bincount(face, minlength=len(faces))
+    owner = np.full(len(faces), -1)
+    owner[face[::-1]] = patch[::-1]  # of several the first
+    empty = count == 0
+    flaws = _flaws(faces, empty, face, patch, count, tree)
+    wide = [flaw for flaw in flaws if flaw.width > tolerance]
+    if empty.any():
+        pairs = tree.query_nearest(points[empty], all_matches=False)
+        owner[np.flatnonzero(empty)[pairs[0]]] = pairs[1]
+    return Arrangement(
+        faces,
+        owner,
+        sorted(wide, key=lambda flaw: -flaw.shape.area),
+        [flaw for flaw in flaws if 4 * grid < flaw.width <= tolerance],
+        shapely.coverage_union_all(faces),
+        grid,
+    )
+
+
+def _notches(shapes, tree, tolerance, grid):
+    """Return the narrow gaps between polygons that are open to the outside."""
+    whole = shapely.union_all(shapes, grid_size=grid)
+    parts = shapely.get_parts(whole)
+    filled = shapely.union_all([shapely.Polygon(part.exterior) for part in parts])
+    sharp = {"join_style": "mitre", "mitre_limit": 20}
+    wider = shapely.buffer(filled, 0.5 * tolerance, **sharp)
+    closed = shapely.buffer(wider, -0.5 * tolerance, **sharp)
+    notches = shapely.get_parts(shapely.difference(closed, filled, grid_size=grid))
+    notches = notches[~shapely.is_empty(shapely.buffer(notches, -2 * grid))]
+    near = [len(tree.query(notch, "dwithin", 2 * grid)) for notch in notches]
+    return notches[np.array(near, dtype=int) > 1]
+
+
+def _flaws(faces, empty, face, patch, count, tree):
+    """Return a `Flaw` for every connected set of empty faces, and of faces with the same owners."""
+    groups = {}
+    for row in np.flatnonzero(count > 1):
+        start, stop = np.searchsorted(face, [row, row + 1])
+        groups.setdefault(tuple(patch[start:stop].tolist()), []).append(row)
+    flaws = []
+    for part in _connected(faces[empty]):
+        beside = tuple(sorted(tree.query(part, "intersects").tolist()))
+        flaws.append(Flaw(True, part, beside, _width(part)))
+    for owners, rows in groups.items():
+        flaws += [Flaw(False, part, owners, _width(part)) for part in _connected(faces[rows])]
+    return flaws
+
+
+def _connected(faces):
+    """Return the connected parts of faces."""
+    return shapely.get_parts(shapely.coverage_union_all(faces)) if len(faces) else []
+
+
+def _width(shape):
+    """Return the diameter of the greatest circle in a polygon, m."""
+    scale = 2 * shape.area / max(shape.length, 1e-300)
+    radius = shapely.maximum_inscribed_circle(shape, tolerance=max(0.02 * scale, 1e-9))
+    return 2 * shapely.length(radius)
+
+
+def contacts(arrangement, unit, shortest):
+    """Return the lines between faces of different units.
+
+    Args:
+        arrangement: an `Arrangement` without flaws.
+        unit: row of the unit of every face, shape (faces,).
+        shortest: pieces shorter than this are left out, m.
+
+    Returns:
+        {(lower row, higher row): list of points (n, 2), m}.
+    """
+    rings, face = shapely.get_rings(arrangement.faces, return_index=True)
+    coords, ring = shapely.get_coordinates(rings, return_index=True)
+    nodes, node = np.unique(coords, axis=0, return_inverse=True)
+    inside = ring[:-1] == ring[1:]
+    ends = np.sort(np.column_stack([node[:-1], node[1:]])[inside], axis=1)
+    sides = unit[face[ring[:-1]]][inside]
+    order = np.lexsort((ends[:, 1], ends[:, 0]))
+    ends, sides = ends[order], sides[order]
+    twin = np.flatnonzero((ends[:-1] == ends[1:]).all(axis=1) & (sides[:-1] != sides[1:]))
+    pairs = np.sort(np.column_stack([sides[twin], sides[twin + 1]]), axis=1)
+    found = {}
+    for pair in np.unique(pairs, axis=0):
+        chosen = twin[(pairs == pair).all(axis=1)]
+        merged = shapely.line_merge(shapely.multilinestrings(nodes[ends[chosen]]))
+        pieces = [part for part in shapely.get_parts(merged) if part.length > shortest]
+        found[tuple(pair.tolist())] = [shapely.get_coordinates(piece) for piece in pieces]
+    return found
+
+
+def frame(whole, tolerance, grid):
+    """Return the `Outline` of a section, or None, with what is wrong and what was straightened.
+
+    Args:
+        whole: one shapely Polygon.
+        tolerance: deviations below it are straightened, m.
+        grid: deviations below it are not mentioned, m.
+
+    Returns:
+        The outline or None; a list of faults as text; a list of notes as text.
+    """
+    ring = shapely.get_coordinates(shapely.orient_polygons(whole).exterior)[:-1]
+    x0, x1 = ring[:, 0].min(), ring[:, 0].max()
+    if x1 - x0 < 10 * tolerance:
+        return None, [f"the section is only {x1 - x0:.3g} m wide, near {place(ring[0])}"], []
+    wrong, notes = [], []
+    corners = []
+    for name, edge, off in (
+        ("left", x0, ring[:, 0] - x0),
+        ("right", x1, x1 - ring[:, 0]),
+    ):
+        start, stop = _run(off <= tolerance)
+        if start is None or abs(ring[start, 1] - ring[stop, 1]) <= 2 * tolerance:
+            wrong.append(_leaning(name, edge, ring))
+            continue
+        if (moved := off[off <= tolerance].max()) > 2 * grid:
+            notes.append(f"the {name} side was straightened by up to {moved:.2g} m")
+        corners.append((start, stop))
+    if wrong:
+        return None, wrong, []
+    (left_top, left_base), (right_base, right_top) = corners
+    lines = {
+        "base": _between(ring, left_base, right_base),
+        "surface": _between(ring, right_top, left_top)[::-1],
+    }
+    for name, line in lines.items():
+        line[0, 0], line[-1, 0] = x0, x1
+        lines[name], problem = _single_valued(name, line, tolerance)
+        wrong += [problem] if problem else []
+    return (None if wrong else Outline(lines["surface"], lines["base"])), wrong, notes
+
+
+def _run(near):
+    """Return first and last row of the one run of true values on a closed ring, or None twice."""
+    starts = np.flatnonzero(near & ~np.roll(near, 1))
+    stops = np.flatnonzero(near & ~np.roll(near, -1))
+    return (starts[0], stops[0]) if len(starts) == 1 else (None, None)
+
+
+def _between(ring, start, stop):
+    """Return the points of a closed ring from one row to another."""
+    stop = stop if stop > start else stop + len(ring)
+    return ring[np.arange(start, stop + 1) % len(ring)].copy()
+
+
+def _single_valued(name, line, tolerance):
+    """Return a line of strictly ascending x, and what is wrong with it or None."""
+    reach = np.maximum.accumulate(line[:, 0])
+    back = reach - line[:, 0]
+    if back.max() > tolerance:
+        where = place(line[back.argmax()])
+        advice = "cut the section there, or draw the overhang below the top"
+        return line, (
+            f"the {name} doubles back by {back.max():.3g} m near {where}: it must have one z at "
+            f"every x; {advice if name == 'surface' else 'cut it at a level base'}"
+        )
+    line = line[np.append(True, reach[1:] > reach[:-1])]
+    dx, dz = np.abs(np.diff(line, axis=0)).T
+    step = np.where(dz > STEEPEST * dx, dz, 0)
+    if step.max() > 5 * tolerance:
+        where = place(line[step.argmax() : step.argmax() + 2].mean(axis=0))
+        return line, (
+            f"the {name} has a vertical step of {step.max():.3g} m near {where}: sides must be "
+            "vertical lines, and surface and base slopes between them; redraw it there"
+        )
+    return line, None
+
+
+def _leaning(name, edge, ring):
+    """Return how far a side is from vertical, and what to do."""
+    low, high = ring.min(axis=0), ring.max(axis=0)
+    x, z = ((ring - low) / (high - low)).T
+    x = x if name == "left" else 1 - x
+    corners = ring[[np.argmin(x + z), np.argmin(x + 1 - z)]]
+    off = np.abs(corners[:, 0] - edge)
+    far = corners[off.argmax()]
+    if off.max() == 0:
+        runs = ring[np.abs(ring[:, 0] - edge) > 0]
+        far = runs[np.argmin(np.abs(runs[:, 0] - edge))]
+        return (
+            f"the {name} side is not one vertical line: it has a notch near {place(far)}; fill it"
+        )
+    return (
+        f"the {name} side is not vertical: it runs {off.max():.3g} m off, to {place(far)}; "
+        f"cut the section at a vertical line"
+    )

@@ -1,0 +1,317 @@
+"""A drawn section as GeoJSON: polygons with a unit, and fault lines; every fault with its place."""
+
+import json
+import re
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from restoration.errors import CaseError, Fault
+from restoration.files import MB, read_text
+from restoration.words import hint, quoted
+
+LARGEST = 50 * MB
+MOST_VERTICES = 1_000_000
+MOST_FEATURES = 50_000
+EXPORT = "export the layer as GeoJSON (in QGIS: Export, Save Features As)"
+SKIPPED = "skipped: a section is drawn with polygons, and lines for faults"
+
+
+@dataclass(frozen=True, eq=False)
+class Patch:
+    """One drawn polygon.
+
+    Attributes:
+        entry: where it is in the file, such as ``features[3]``.
+        unit: name of its unit.
+        key: value of the property that picks the rock; None without one.
+        shape: shapely Polygon or MultiPolygon, m, z up.
+    """
+
+    entry: str
+    unit: str
+    key: str | None
+    shape: object
+
+
+@dataclass(eq=False)
+class Drawing:
+    """What a file draws.
+
+    Attributes:
+        shown: name of the file in messages.
+        patches: the polygons that can be used.
+        faults: (name, points (n, 2), m) of the fault lines.
+        notes: remarks for the user.
+        problems: a `Fault` for everything that is wrong.
+    """
+
+    shown: str
+    patches: list = field(default_factory=list)
+    faults: list = field(default_factory=list)
+    notes: list = field(default_factory=list)
+    problems: list = field(default_factory=list)
+
+    def refuse(self, entry, message):
+        """Take down a fault."""
+        self.problems.append(Fault(self.shown, None, None, entry, message))
+
+
+def place(point):
+    """Return a point (x, z), m, as messages name it."""
+    x, z = (round(float(value) / 1e3, 3) + 0.0 for value in point)
+    return f"x = {x:.3f} km, z = {z:.3f} km"
+
+
+def read_collection(path, shown):
+    """Return the GeoJSON FeatureCollection of a file as plain values, ``features`` being a list.
+
+    Raises:
+        CaseError: it is no such file; see `restoration.files.read_text`.
+    """
+    text = read_text(path, shown, LARGEST)
+    try:
+        data = json.loads(text, parse_constant=_no_constant)
+    except json.JSONDecodeError as error:
+        fault = Fault(shown, error.lineno, error.colno, "", _syntax(text, error))
+        raise CaseError([fault]) from None
+    except RecursionError:
+        raise _refused(shown, "is nested too deeply for GeoJSON") from None
+    except ValueError as error:
+        raise _refused(shown, str(error)) from None
+    kind = data.get("type") if isinstance(data, dict) else None
+    if kind == "Feature":
+        data = {"type": "FeatureCollection", "features": [data], "crs": data.get("crs")}
+    elif kind != "FeatureCollection":
+        raise _refused(shown, _wrong_kind(data, kind))
+    if not isinstance(data.get("features"), list):
+        raise _refused(shown, f"has no list of features; {EXPORT}")
+    if len(data["features"]) > MOST_FEATURES:
+        number = len(data["features"])
+        raise _refused(shown, f"has {number} features; at most {MOST_FEATURES} are read")
+    return data
+
+
+def _no_constant(name):
+    raise ValueError(f"holds {name}, which is no coordinate; delete or correct that vertex")
+
+
+def _syntax(text, error):
+    """Return what a JSON error means."""
+    start = text.lstrip()[:1]
+    if start == "<":
+        return f"is XML (KML, SVG, GML?), not GeoJSON; {EXPORT}"
+    if error.msg == "Extra data" and start == "{":
+        return f"a second text begins here (one feature per line?); {EXPORT}, not GeoJSONSeq"
+    if start not in ("{", "["):
+        return f"is not GeoJSON; {EXPORT}"
+    cut = "; the file ends early: was it cut off?" if error.pos >= len(text.rstrip()) else ""
+    return f"not JSON: {error.msg[0].lower()}{error.msg[1:]}{cut}"
+
+
+def _wrong_kind(data, kind):
+    """Return the message for JSON that is no collection of features."""
+    if kind == "Topology":
+        return f"is TopoJSON; {EXPORT}"
+    if isinstance(kind, str) and ("coordinates" in data or "geometries" in data):
+        return f"is a bare {kind[:40]} without properties, so its unit is not known; {EXPORT}"
+    found = f"its type is {quoted(kind)}" if isinstance(data, dict) else f"it is {quoted(data)}"
+    return f"is JSON but no GeoJSON FeatureCollection: {found}; {EXPORT}"
+
+
+def read_drawing(data, shown, unit_property, rock_property=None, scale=1.0, sign=1.0):
+    """Return the `Drawing` of a FeatureCollection; what is wrong is kept in its problems.
+
+    Args:
+        data: of `read_collection`.
+        shown: name of the file in messages.
+        unit_property: property that names the unit; None gives every polygon a unit of its own.
+        rock_property: property whose values are kept as `Patch.key`; may be None.
+        scale: m per unit of the coordinates.
+        sign: 1 where the second coordinate points up, -1 where it is depth.
+    """
+    drawing = Drawing(shown)
+    known = properties(data)
+    vertices = dropped = 0
+    for number, feature in enumerate(data["features"]):
+        entry = f"features[{number}]"
+        kind, values, parts = _feature(drawing, entry, feature)
+        if kind is None:
+            continue
+        area = kind.endswith("Polygon")
+        rings = [ring for part in parts for ring in part] if area else parts
+        points = {}
+        for ring in rings:
+            points[id(ring)], third = _points(drawing, entry, ring, scale, sign)
+            dropped += third
+            vertices += len(ring) if isinstance(ring, list) else 0
+        if vertices > MOST_VERTICES:
+            raise _refused(shown, f"has more than {MOST_VERTICES:,} vertices; simplify the lines")
+        if any(ring is None for ring in points.values()):
+            continue
+        if not area:
+            name = _text(values.get("name") or values.get(unit_property)) or f"fault {number}"
+            drawing.faults += [(name, points[id(ring)]) for ring in rings if len(ring) > 1]
+            continue
+        unit = entry if unit_property is None else _unit(drawing, entry, values, unit_property)
+        shape = _shape(drawing, entry, unit, [[points[id(r)] for r in part] for part in parts])
+        if shape is not None and unit is not None:
+            drawing.patches.append(Patch(entry, unit, _text(values.get(rock_property)), shape))
+    if dropped:
+        drawing.notes.append("the coordinates have a third value; it is not used")
+    _judge(drawing, known, unit_property)
+    return drawing
+
+
+def properties(data):
+    """Return the values of every property of the polygons, in order of their first use."""
+    found = {}
+    for feature in data["features"]:
+        feature = feature if isinstance(feature, dict) else {}
+        geometry, values = feature.get("geometry"), feature.get("properties")
+        kind = geometry.get("type") if isinstance(geometry, dict) else None
+        if kind in ("Polygon", "MultiPolygon") and isinstance(values, dict):
+            for name, value in values.items():
+                texts = found.setdefault(name, [])
+                text = _text(value)
+                if text and text not in texts:
+                    texts.append(text)
+    return found
+
+
+def _judge(drawing, known, unit_property):
+    """Replace many faults of one cause by one fault that names the cause."""
+    if unit_property is not None and not any(known.get(unit_property, ())) and known:
+        what = "is empty on" if unit_property in known else "is on none of"
+        others = [name for name in known if name != unit_property and known[name]]
+        advice = hint(unit_property, others) or "; add it and fill in the name of the unit"
+        drawing.problems = [fault for fault in drawing.problems if "has no unit" not in str(fault)]
+        drawing.refuse("", f"the property '{unit_property}' {what} the polygons{advice}")
+    elif not drawing.patches and not drawing.problems:
+        lines = f" (only {len(drawing.faults)} lines)" if drawing.faults else ""
+        drawing.refuse("", f"holds no polygons{lines}; draw the units as polygons that fill it")
+
+
+def _feature(drawing, entry, feature):
+    """Return type, properties and parts of a feature; the type is None where it is not used."""
+    nothing = None, None, None
+    if not isinstance(feature, dict):
+        drawing.refuse(entry, f"is {quoted(feature)}, not a feature; {EXPORT}")
+        return nothing
+    geometry, values = feature.get("geometry"), feature.get("properties") or {}
+    kind = geometry.get("type") if isinstance(geometry, dict) else None
+    if not isinstance(values, dict):
+        drawing.refuse(entry, f"its properties are {quoted(values)}, not a group of names")
+        return nothing
+    if geometry is None or (kind and not str(kind).endswith(("Polygon", "LineString"))):
+        drawing.notes.append(f"{entry} ({quoted(kind) if kind else 'no geometry'}) is {SKIPPED}")
+        return nothing
+    parts = geometry.get("coordinates") if isinstance(geometry, dict) else None
+    if kind not in ("Polygon", "MultiPolygon", "LineString", "MultiLineString") or not isinstance(
+        parts, list
+    ):
+        drawing.refuse(entry, f"has no usable geometry; {EXPORT}")
+        return nothing
+    if not parts:
+        drawing.notes.append(f"{entry} (an empty {kind}) is {SKIPPED}")
+        return nothing
+    parts = [parts] if kind in ("Polygon", "LineString") else parts
+    if kind.endswith("Polygon") and not all(isinstance(part, list) and part for part in parts):
+        drawing.refuse(entry, f"a part of it is no polygon; {EXPORT}")
+        return nothing
+    return kind, values, parts
+
+
+def _points(drawing, entry, ring, scale, sign):
+    """Return the points of a ring or line, (n, 2) in m or None, and if a third value was cut."""
+    wrong = "a position" if isinstance(ring, list) else "a list of positions"
+    if not isinstance(ring, list) or not all(
+        isinstance(point, list) and len(point) > 1 for point in ring
+    ):
+        drawing.refuse(entry, f"holds something that is not {wrong} [x, z]; {EXPORT}")
+        return None, False
+    if not all(type(value) in (int, float) for point in ring for value in point[:2]):
+        drawing.refuse(entry, "holds a coordinate that is not a number; correct that vertex")
+        return None, False
+    try:
+        points = np.array([point[:2] for point in ring], dtype=float).reshape(-1, 2)
+    except OverflowError:
+        points = np.array([[np.inf, np.inf]])
+    if not (np.abs(points) * scale < 1e9).all():
+        drawing.refuse(entry, "holds a coordinate beyond 1e9 m; correct that vertex")
+        return None, False
+    return points * [scale, scale * sign] + 0.0, any(len(point) > 2 for point in ring)
+
+
+def _unit(drawing, entry, values, name):
+    """Return the name of the unit; None where there is none."""
+    value = values.get(name)
+    unit = _text(value)
+    if isinstance(value, (dict, list)):
+        drawing.refuse(entry, f"its '{name}' is {quoted(value)}; write the name of the unit")
+    elif not unit:
+        drawing.refuse(entry, f"has no unit: its property '{name}' is missing or empty; fill it in")
+    return unit
+
+
+def _text(value):
+    """Return a property as text: ``3.0`` is ``3``; None where it is empty or no plain value."""
+    if isinstance(value, float) and value.is_integer():
+        value = int(value)
+    if value is None or isinstance(value, (dict, list)):
+        return None
+    text = str(value).lower() if isinstance(value, bool) else str(value)
+    return " ".join(text.split()) or None
+
+
+def _shape(drawing, entry, unit, parts):
+    """Return the shapely shape of a polygon; None, with its faults taken down, where it is bad."""
+    import shapely
+
+    name = f"polygon {quoted(unit)}" if unit and unit != entry else "polygon"
+    for ring in (ring for part in parts for ring in part):
+        size = max(np.ptp(ring, axis=0).max(), 1e-300) if len(ring) else 0
+        if len(ring) < 4:
+            found = f"{len(ring)} positions; it needs 4, the last one like the first"
+            return drawing.refuse(entry, f"a ring of {name} has only {found}")
+        if np.abs(ring[0] - ring[-1]).max() > 1e-9 * size:
+            ends = f"it starts at {place(ring[0])} and ends at {place(ring[-1])}"
+            return drawing.refuse(
+                entry, f"a ring of {name} is not closed: {ends}; repeat the first position"
+            )
+        ring[-1] = ring[0]
+    shape = shapely.multipolygons([shapely.Polygon(part[0], part[1:]) for part in parts])
+    shape = shape.geoms[0] if len(parts) == 1 else shape
+    if not shape.area > 0:
+        at = place(parts[0][0][0])
+        return drawing.refuse(entry, f"{name} has no area, near {at}; delete it")
+    reason = shapely.is_valid_reason(shape)
+    if reason.startswith("Ring Self-intersection"):
+        return shapely.make_valid(shape, method="structure")
+    if reason != "Valid Geometry":
+        return drawing.refuse(entry, f"{name} {_invalid(reason)}")
+    return shape
+
+
+INVALID = (  # (what GEOS says, what it means)
+    ("Self-intersection", "crosses itself near {}; move the vertices apart there"),
+    ("Hole lies outside shell", "has a hole outside of it near {}; make that ring a polygon"),
+    ("Holes are nested", "has a hole within a hole near {}; make the inner ring a polygon"),
+    ("Interior is disconnected", "is cut in two by its hole near {}; split it"),
+    ("Duplicate Rings", "has the same ring twice near {}; delete one"),
+    ("Nested shells", "has one part inside another near {}; delete the inner part"),
+)
+
+
+def _invalid(reason):
+    """Return what a GEOS validity reason such as ``Self-intersection[5 5]`` means."""
+    match = re.search(r"\[(\S+) ([^\s\]]+)", reason)
+    where = place((float(match[1]), float(match[2]))) if match else "an unknown place"
+    for sign, meaning in INVALID:
+        if reason.startswith(sign):
+            return meaning.format(where)
+    return f"is not a valid polygon near {where} ({reason.split('[')[0].lower()}); redraw it"
+
+
+def _refused(shown, message):
+    return CaseError([Fault(shown, None, None, "", message)])
