@@ -6,8 +6,7 @@ from dolfinx import fem
 from petsc4py import PETSc
 
 from forms.stokes import slip_form, traction_load
-
-NORMAL = {"left": 0, "right": 0, "base": 1, "surface": 1}
+from restoration.scene import NORMAL
 
 
 def is_inclined_slip(name, wall, section):

@@ -44,7 +44,7 @@ FREE_SURFACE = (
 )
 # Entries of a section that only a file has a use for.
 FILE_ENTRIES = ("property", "rock_property", "coordinates", "vertical", "tolerance")
-NORMAL = {"left": 0, "right": 0, "base": 1, "surface": 1}
+WALLS = ("left", "right", "base", "surface")
 COLOR = re.compile(r"#[0-9a-fA-F]{6}")
 
 
@@ -463,7 +463,7 @@ def _cross_faults(tree):
             ):
                 path = ("section", "layers", i, "rock")
                 faults.append(tree.fault(path, f"there is no rock '{rock}'{hint(rock, rocks)}"))
-    for name in NORMAL:
+    for name in WALLS:
         if tree.raw(("boundary", name)) == "free":
             message = FREE_SURFACE if name == "surface" else "only the surface can be free"
             faults.append(tree.fault(("boundary", name), message))

@@ -4,27 +4,13 @@ from itertools import pairwise
 
 import numpy as np
 
+from restoration.advection import STOKES_SOLVES
+from restoration.plan import active, unknowns
 from restoration.scene import WALLS
 from restoration.units import show
 
-# Stokes solves per step of each scheme (`advection.STEPPERS`), the first one shared with the step
-# length.
-SOLVES = {"euler": 1, "paper": 1, "midpoint": 2, "rk4": 4}
-# Memory of a run, measured from 4k to 160k unknowns: a base, and bytes for each unknown and particle.
+# Memory of a run: a base, MB, and bytes for each unknown and each particle.
 BASE_MB, PER_UNKNOWN, PER_PARTICLE = 250, 6000, 600
-
-
-def unknowns(cells):
-    """Return triangles and unknowns of P2/P1 on crossed squares.
-
-    Args:
-        cells: columns and rows of squares.
-    """
-    across, up = cells
-    triangles = 4 * across * up
-    vertices = (across + 1) * (up + 1) + across * up
-    edges = vertices + triangles - 1  # Euler's formula for a disc
-    return triangles, 2 * (vertices + edges) + vertices
 
 
 def describe(loaded):
@@ -64,40 +50,13 @@ def describe(loaded):
         "particles_about": particles,
         "memory_mb_about": round(BASE_MB + (count * PER_UNKNOWN + particles * PER_PARTICLE) / 1e6),
         "steps_at_least": steps,
-        "stokes_solves_at_least": steps * SOLVES[scene.time.scheme] + 1,
+        "stokes_solves_at_least": steps * STOKES_SOLVES[scene.time.scheme] + 1,
         "viscosity_contrast": float(scene.unit_viscosity.max() / scene.unit_viscosity.min()),
         "active": active(scene),
         "notes": list(scene.notes),
         "time_forecast_s": None,
         "restorability": None,
     }
-
-
-def active(scene):
-    """Return what the scene requires, and nothing else, with the reason for each."""
-    parts = ["plane strain Stokes flow on P2/P1 triangles, solved directly"]
-    if scene.one_viscosity:
-        parts.append("one factorisation for the whole run: one viscosity, a mesh that stands still")
-    else:
-        parts.append("a factorisation for every solve: the viscosity moves with the rock")
-    if scene.closed:
-        parts.append("the level of the pressure is set at the surface: no wall is left to itself")
-    else:
-        parts.append("the level of the pressure comes from the wall that is left to itself")
-    if len(scene.rocks) == 1:
-        parts.append("one rock: only the walls can move it")
-    if scene.gravity == 0:
-        parts.append("no gravity")
-    frozen = scene.time.scheme in ("euler", "paper")
-    parts.append(
-        f"steps by {scene.time.scheme}, "
-        + ("one flow for each step" if frozen else "Stokes solved at every stage")
-    )
-    parts.append(
-        f"density by {scene.transfer.density}, viscosity by {scene.transfer.viscosity} "
-        f"({scene.transfer.mean} mean)"
-    )
-    return parts
 
 
 def describe_text(loaded):

@@ -12,7 +12,6 @@ import numpy as np
 
 from meshes.box import section_mesh
 from restoration.advection import FROZEN, STEPPERS
-from restoration.boundary import NORMAL
 from restoration.errors import SolveError
 from restoration.lines import points_of, refined, with_points
 from restoration.particles import (
@@ -23,7 +22,8 @@ from restoration.particles import (
     relocate,
     seed,
 )
-from restoration.scene import WALLS
+from restoration.plan import active
+from restoration.scene import NORMAL, WALLS
 from restoration.snapshot import FieldSnapshot
 from restoration.spaces import Spaces
 from restoration.state import State
@@ -75,7 +75,6 @@ class StokesEngine:
                 scene.closed,
                 scene.one_viscosity,
             )
-        self.sealed = all(wall.velocity[NORMAL[name]] == 0 for name, wall in scene.walls.items())
         self.born = 0
         self.empty_cells = 0
         self.held_back = 0
@@ -88,20 +87,7 @@ class StokesEngine:
     @property
     def active(self):
         """What this scene makes the engine do, in words, and nothing else."""
-        scene = self.scene
-        parts = [
-            "plane strain Stokes flow, P2/P1 triangles, direct solver",
-            "one factorisation for the whole run"
-            if scene.one_viscosity
-            else "a factorisation for every solve",
-            "pressure fixed at the surface" if scene.closed else "pressure set by a wall",
-            f"density by {scene.transfer.density}, viscosity by {scene.transfer.viscosity} "
-            f"({scene.transfer.mean})",
-            f"steps by {scene.time.scheme}",
-        ]
-        if not self.sealed:
-            parts.append("particles born where rock flows in")
-        return parts
+        return active(self.scene)
 
     def snapshot(self):
         """Return the reader of the fields for files."""
@@ -187,7 +173,7 @@ class StokesEngine:
         """
         empty = empty_cells(particles, len(self.index.area))
         self.empty_cells = len(empty)
-        if self.sealed and len(empty):
+        if self.scene.sealed and len(empty):
             nodes = self.spaces.q_nodes
             held = np.ones(len(nodes), bool)
             held[empty] = False

@@ -9,7 +9,6 @@ import numpy as np
 
 from restoration.case import (
     FILE_ENTRIES,
-    NORMAL,
     Case,
     Entry,
     WallEntry,
@@ -20,6 +19,7 @@ from restoration.errors import CaseError
 from restoration.files import inside
 from restoration.palette import unit_colors
 from restoration.scene import (
+    NORMAL,
     WALLS,
     Cloud,
     Line,

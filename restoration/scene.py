@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 WALLS = ("left", "right", "base", "surface")
+NORMAL = {"left": 0, "right": 0, "base": 1, "surface": 1}  # axis across each wall
 
 
 @dataclass(frozen=True)
@@ -239,5 +240,9 @@ class Scene:
     @property
     def closed(self):
         """Whether the normal velocity is held on every wall, so that pressure floats."""
-        normal = {"left": 0, "right": 0, "base": 1, "surface": 1}
-        return all(self.walls[name].velocity[normal[name]] is not None for name in WALLS)
+        return all(self.walls[name].velocity[NORMAL[name]] is not None for name in WALLS)
+
+    @property
+    def sealed(self):
+        """Whether no rock crosses any wall."""
+        return all(self.walls[name].velocity[NORMAL[name]] == 0 for name in WALLS)

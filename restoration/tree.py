@@ -18,7 +18,9 @@ DEEPEST = 32
 MOST_NODES = 20_000
 MOST_FAULTS = 40
 INTEGER = re.compile(r"[-+]?(0|[1-9][0-9]{0,17})", re.ASCII)
-DECIMAL = re.compile(r"[-+]?([0-9]{1,40}\.?[0-9]{0,40}|\.[0-9]{1,40})([eE][-+]?[0-9]{1,3})?", re.ASCII)
+DECIMAL = re.compile(
+    r"[-+]?([0-9]{1,40}\.?[0-9]{0,40}|\.[0-9]{1,40})([eE][-+]?[0-9]{1,3})?", re.ASCII
+)
 CONSTANTS = {"": None, "~": None, "null": None, "true": True, "false": False}
 
 
@@ -215,6 +217,9 @@ class _Builder:
     def put(self, event, value):
         """Store a value, or take it as the name of the next one; return its path."""
         place = self.place(event)
+        if value is None and self.stack and self.stack[-1][2] is not None:
+            # nothing has no place of its own; the parser gives that of what comes next
+            place = self.tree.keys.get((*self.stack[-1][1], self.stack[-1][2]), place)
         if not self.stack:
             self.tree.data = value
             self.tree.values[()] = place
@@ -275,17 +280,21 @@ def scalar(event):
     return float(text) if DECIMAL.fullmatch(text) else text
 
 
-SYNTAX = (  # (what the parser says, what the user can do)
-    ("cannot start any token", "a tab or a reserved sign stands where an entry begins; indent with spaces and put text that begins with @ ` % in quotes"),
-    ("mapping values are not allowed", "a second ': ' in a line, or a wrong indentation; put text that holds ': ' in quotes"),
-    ("could not find expected ':'", "an entry without ': '; write name: value, with a space after the colon"),
-    ("expected <block end>", "the indentation does not match the lines above"),
-    ("expected ',' or '}'", "the bracket { is not closed, or a comma is missing"),
-    ("expected ',' or ']'", "the bracket [ is not closed, or a comma is missing"),
-    ("unexpected end of stream", "a quote is not closed"),
-    ("undefined alias", "an alias (*) of nothing; put text that begins with * in quotes"),
-    ("special characters are not allowed", "a control character"),
-)  # fmt: skip
+# What the parser says, and what the user can do.
+SYNTAX = {
+    "cannot start any token": "a tab or a reserved sign stands where an entry begins; indent with "
+    "spaces and put text that begins with @ ` % in quotes",
+    "mapping values are not allowed": "a second ': ' in a line, or a wrong indentation; put text "
+    "that holds ': ' in quotes",
+    "could not find expected ':'": "an entry without ': '; write name: value, with a space after "
+    "the colon",
+    "expected <block end>": "the indentation does not match the lines above",
+    "expected ',' or '}'": "the bracket { is not closed, or a comma is missing",
+    "expected ',' or ']'": "the bracket [ is not closed, or a comma is missing",
+    "unexpected end of stream": "a quote is not closed",
+    "undefined alias": "an alias (*) of nothing; put text that begins with * in quotes",
+    "special characters are not allowed": "a control character",
+}
 
 
 def _syntax_fault(error, file):
@@ -293,7 +302,7 @@ def _syntax_fault(error, file):
     mark = getattr(error, "problem_mark", None) or getattr(error, "context_mark", None)
     problem = str(getattr(error, "problem", None) or getattr(error, "reason", None) or error)
     problem = " ".join(problem.split())
-    meaning = next((meaning for sign, meaning in SYNTAX if sign in problem), problem[:120])
+    meaning = next((meaning for sign, meaning in SYNTAX.items() if sign in problem), problem[:120])
     line, column = (mark.line + 1, mark.column + 1) if mark else (None, None)
     start = getattr(error, "context_mark", None)
     since = f" (begun in line {start.line + 1})" if start and start.line + 1 != line else ""

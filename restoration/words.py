@@ -35,7 +35,9 @@ def nearest(name, known):
     """Return the known name most like ``name``, or None."""
     known = [str(entry) for entry in known]
     folded = {entry.casefold(): entry for entry in reversed(known)}
-    near = get_close_matches(str(name)[:SHORT].casefold(), folded, n=1, cutoff=0.6)
+    word = str(name)[:SHORT].casefold()
+    begun = [entry for entry in folded if len(word) > 1 and entry.startswith(word)]
+    near = begun or get_close_matches(word, folded, n=1, cutoff=0.6)
     return folded[near[0]] if near else None
 
 

@@ -1,0 +1,68 @@
+"""Every shipped case is an example and a test: it runs coarse, forward or backward."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from restoration.cli import main
+from restoration.resolve import load_scene
+
+ROOT = Path(__file__).parents[1]
+CASES = sorted(ROOT.glob("cases/*/*.yaml"))
+COARSE = ("mesh.cells=10", "particles.per_cell=4", "particles.densify=4", "time.min_steps=3")
+
+
+def names(path):
+    return f"{path.parent.name}-{path.stem}"
+
+
+def test_there_are_cases():
+    assert len(CASES) >= 7
+
+
+@pytest.mark.parametrize("path", CASES, ids=names)
+def test_case_runs_coarse(path, tmp_path):
+    overrides = [part for entry in (*COARSE, "time.courant=2") for part in ("--set", entry)]
+    code = main(["run", str(path), "--quiet", "--out", str(tmp_path / "run"), *overrides])
+    record = json.loads((tmp_path / "run" / "run.json").read_text())
+    assert code == 0
+    assert record["ended_well"] is True
+    assert record["particles_lost"] == 0
+    assert abs(record["area_change"]) < 1e-6
+    assert record["worst_residual"] < 1e-8
+    assert record["particles_born"] < 0.01 * record["particles"]
+
+
+@pytest.mark.parametrize("path", CASES, ids=names)
+def test_case_is_explained(path):
+    _, scene = load_scene(path)
+    assert scene.title
+    readme = (path.parent / "README.md").read_text(encoding="utf-8")
+    assert path.name in readme
+    pictures = [line for line in readme.splitlines() if line.startswith("![")]
+    assert pictures
+    for line in pictures:
+        assert (path.parent / line.split("](")[1].split(")")[0]).is_file()
+
+
+def run(case, out, *overrides):
+    sets = [part for entry in overrides for part in ("--set", entry)]
+    assert main(["run", str(ROOT / case), "--quiet", "--out", str(out), *sets]) == 0
+    return json.loads((out / "run.json").read_text())
+
+
+@pytest.mark.slow
+def test_demo_comes_back(tmp_path):
+    """The demo as `make demo` runs it, against the figures of the paper (its sect. 4.1)."""
+    record = run("cases/diapir-isoviscous/case.yaml", tmp_path / "run")
+    assert 8000 < record["cells"] < 9500
+    assert 55_000 < record["particles"] < 66_000
+    assert record["particles_lost"] == 0
+    assert record["there_and_back"]["mean_m"] < 14
+    assert record["there_and_back"]["max_m"] < 143
+    assert record["horizons"][0]["max_m"] < 50
+    assert abs(record["area_change"]) < 1e-6
+    assert all(abs(change) < 1e-3 for change in record["volume_by_rock_change"].values())
+    assert record["factorisations"] == 1
+    assert record["wall_s"] < 120
