@@ -254,7 +254,7 @@ class Particles(Entry):
     """The particles."""
 
     per_cell: Annotated[int, Field(ge=1, le=1000)] | None = None
-    densify: Annotated[int, Field(ge=1, le=1000)] = 20
+    densify: Annotated[int, Field(ge=1, le=1000)] = 5
     jitter: Annotated[float, Field(ge=0, le=1)] = 0.5
     seed: Annotated[int, Field(ge=0, le=2**32 - 1)] = 1
 

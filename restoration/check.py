@@ -5,7 +5,7 @@ from itertools import pairwise
 import numpy as np
 
 from restoration.advection import STOKES_SOLVES
-from restoration.plan import active, unknowns
+from restoration.plan import active, time_label, unknowns
 from restoration.scene import WALLS
 from restoration.units import show
 
@@ -82,7 +82,8 @@ def describe_text(loaded):
     lines.append(f"gravity    {scene.gravity:g} m/s^2, downwards")
     for a, b in pairwise(scene.time.marks):
         way = "forward" if b > a else "restoring"
-        lines.append(f"march      from {show(a, 'time')} to {show(b, 'time')}, {way}")
+        ends = f"from {time_label(scene, a)} to {time_label(scene, b)}"
+        lines.append(f"march      {ends}, {way}")
     across, up = scene.cells
     lines += [
         f"mesh       {across} x {up} squares, {about['cells']} triangles, "
@@ -130,17 +131,3 @@ def _wall_text(wall):
     if wall.kind == "traction":
         return f"traction [{', '.join(show(t, 'pressure') for t in wall.traction)}]"
     return wall.kind
-
-
-def survey_text(path):
-    """Return what is in a bare section file, and a case file to start from.
-
-    Args:
-        path: a GeoJSON file.
-
-    Raises:
-        CaseError: it cannot be read.
-    """
-    from restoration.starter import survey_text as text
-
-    return text(path)

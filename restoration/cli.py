@@ -71,11 +71,13 @@ def _load(options):
 
 
 def _check(options):
-    from restoration.check import describe, describe_text, survey_text
-
     if Path(options.case).suffix.lower() in (".geojson", ".json"):
+        from restoration.starter import survey_text
+
         print(survey_text(options.case))
         return 0
+    from restoration.check import describe, describe_text
+
     loaded = _load(options)
     if options.json:
         print(json.dumps(describe(loaded), indent=1, allow_nan=False))

@@ -1,6 +1,7 @@
 """What a scene requires of an engine, and how large the problem is; solves nothing."""
 
 from restoration.advection import FROZEN
+from restoration.units import show
 
 
 def unknowns(cells):
@@ -43,3 +44,14 @@ def active(scene):
         f"({scene.transfer.mean} mean)"
     )
     return parts
+
+
+def time_label(scene, time):
+    """Return a model time for a line of text: an age where the marks count back from today.
+
+    Args:
+        scene: whose marks tell which.
+        time: model time, s.
+    """
+    back = max(scene.time.marks) <= 0
+    return show(-time if time else 0.0, "age") if back else show(time, "time")

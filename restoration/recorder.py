@@ -26,6 +26,7 @@ from restoration.output import (
     write_lines,
     write_record,
 )
+from restoration.plan import time_label
 from restoration.units import YEAR, show
 
 MYR = 1e6 * YEAR
@@ -98,7 +99,7 @@ class Recorder:
         self.record |= {"cells": len(engine.index.area), "unknowns": engine.spaces.unknowns}
         self.say(
             f"{self.record['cells']} cells, {self.record['unknowns']} unknowns, "
-            f"marks {', '.join(show(mark, 'time') for mark in scene.time.marks)}"
+            f"marks {', '.join(time_label(scene, mark) for mark in scene.time.marks)}"
         )
 
     def step(self, before, state):
@@ -152,7 +153,7 @@ class Recorder:
             (self.snapshot.points, state.flow.u) if self.scene.output.arrows else None,
             label=time_text(self.scene, state.time, before),
         )
-        self.say(f"mark {number}: {show(state.time, 'time')} after {self.steps} steps")
+        self.say(f"mark {number}: {time_label(self.scene, state.time)} after {self.steps} steps")
         self._output_s += time.perf_counter() - begin
 
     def end(self, error=None):
@@ -186,7 +187,7 @@ class Recorder:
         if self._last is None:
             return "before the first step"
         return (
-            f"at {show(self._last.time, 'time')} after {self.steps} steps "
+            f"at {time_label(self.scene, self._last.time)} after {self.steps} steps "
             f"({100 * self.elapsed / self._path:.0f} % of the way)"
         )
 
@@ -200,7 +201,7 @@ class Recorder:
         share = self.elapsed / self._path
         wall = time.perf_counter() - self._began
         line = (
-            f"step {self.steps}  {show(state.time, 'time')}  dt {show(dt, 'time')}  "
+            f"step {self.steps}  {time_label(self.scene, state.time)}  dt {show(dt, 'time')}  "
             f"{self.engine.counts.solves} solves  {100 * share:.0f} %  "
             f"about {wall * (1 - share) / share:.0f} s left"
         )

@@ -129,7 +129,7 @@ def load(path, overrides=(), allow_outside=False):
         ),
         transfer=Transfer(case.transfer.density, case.transfer.viscosity, case.transfer.mean),
         time=TimePlan(
-            tuple(-mark.si if is_age(mark) else mark.si for mark in case.time.marks),
+            tuple(0.0 - mark.si if is_age(mark) else mark.si for mark in case.time.marks),
             case.time.scheme,
             float(case.preset("time", "courant")),
             case.preset("time", "min_steps"),

@@ -24,6 +24,7 @@ ORDER = {
         "geojson",
         "arrangement",
         "section",
+        "starter",
         "lines",
         "cloud",
         "palette",
