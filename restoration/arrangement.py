@@ -12,8 +12,9 @@ import shapely
 
 from restoration.geojson import place
 from restoration.scene import Outline
+from restoration.units import number
 
-STEEPEST = 20  # slope of surface and base above which they count as vertical
+STEEP = ((20, 5e-3), (3, 0.1))  # slopes and drops (parts of the height) too steep for a surface
 FINEST = 1e-6  # grid on which boundaries meet, part of the height
 
 
@@ -25,13 +26,18 @@ class Flaw:
         gap: whether it is a gap.
         shape: shapely Polygon.
         patches: rows of the polygons that overlap, or that are beside the gap.
-        width: diameter of the greatest circle in it, m.
     """
 
     gap: bool
     shape: object
     patches: tuple[int, ...]
-    width: float
+
+    @property
+    def width(self):
+        """Diameter of the greatest circle in it, m."""
+        narrow = 2 * self.shape.area / self.shape.length
+        radius = shapely.maximum_inscribed_circle(self.shape, tolerance=0.02 * narrow)
+        return max(2 * radius.length, narrow)
 
     @property
     def at(self):
@@ -85,7 +91,8 @@ def arrange(shapes, tolerance):
     owner[face[::-1]] = patch[::-1]  # of several the first
     empty = count == 0
     flaws = _flaws(faces, empty, face, patch, count, tree)
-    wide = [flaw for flaw in flaws if flaw.width > tolerance]
+    wide = _wider(flaws, tolerance)
+    closed = [flaw for flaw in _wider(flaws, 4 * grid) if flaw not in wide]
     if empty.any():
         pairs = tree.query_nearest(points[empty], all_matches=False)
         owner[np.flatnonzero(empty)[pairs[0]]] = pairs[1]
@@ -93,7 +100,7 @@ def arrange(shapes, tolerance):
         faces,
         owner,
         sorted(wide, key=lambda flaw: -flaw.shape.area),
-        [flaw for flaw in flaws if 4 * grid < flaw.width <= tolerance],
+        closed,
         shapely.coverage_union_all(faces),
         grid,
     )
@@ -122,22 +129,22 @@ def _flaws(faces, empty, face, patch, count, tree):
     flaws = []
     for part in _connected(faces[empty]):
         beside = tuple(sorted(tree.query(part, "intersects").tolist()))
-        flaws.append(Flaw(True, part, beside, _width(part)))
+        flaws.append(Flaw(True, part, beside))
     for owners, rows in groups.items():
-        flaws += [Flaw(False, part, owners, _width(part)) for part in _connected(faces[rows])]
+        flaws += [Flaw(False, part, owners) for part in _connected(faces[rows])]
     return flaws
+
+
+def _wider(flaws, width):
+    """Return the flaws that hold a circle of a diameter, m."""
+    shapes = np.array([flaw.shape for flaw in flaws], dtype=object)
+    left = ~shapely.is_empty(shapely.buffer(shapes, -0.5 * width))
+    return [flaw for flaw, wide in zip(flaws, left, strict=True) if wide]
 
 
 def _connected(faces):
     """Return the connected parts of faces."""
     return shapely.get_parts(shapely.coverage_union_all(faces)) if len(faces) else []
-
-
-def _width(shape):
-    """Return the diameter of the greatest circle in a polygon, m."""
-    scale = 2 * shape.area / max(shape.length, 1e-300)
-    radius = shapely.maximum_inscribed_circle(shape, tolerance=max(0.02 * scale, 1e-9))
-    return 2 * shapely.length(radius)
 
 
 def contacts(arrangement, unit, shortest):
@@ -161,13 +168,57 @@ def contacts(arrangement, unit, shortest):
     ends, sides = ends[order], sides[order]
     twin = np.flatnonzero((ends[:-1] == ends[1:]).all(axis=1) & (sides[:-1] != sides[1:]))
     pairs = np.sort(np.column_stack([sides[twin], sides[twin + 1]]), axis=1)
+    names, which = np.unique(pairs, axis=0, return_inverse=True)
     found = {}
-    for pair in np.unique(pairs, axis=0):
-        chosen = twin[(pairs == pair).all(axis=1)]
-        merged = shapely.line_merge(shapely.multilinestrings(nodes[ends[chosen]]))
+    for pair, chosen in zip(names, grouped(which, len(names)), strict=True):
+        merged = shapely.line_merge(shapely.multilinestrings(nodes[ends[twin[chosen]]]))
         pieces = [part for part in shapely.get_parts(merged) if part.length > shortest]
         found[tuple(pair.tolist())] = [shapely.get_coordinates(piece) for piece in pieces]
     return found
+
+
+def grouped(which, count):
+    """Return the rows of every group, a list of ``count`` arrays, from the group of every row."""
+    sizes = np.bincount(which, minlength=count)
+    return np.split(np.argsort(which, kind="stable"), np.cumsum(sizes)[:-1])[:count]
+
+
+class UnitAt:
+    """Maps points to units; a point in no polygon belongs to the nearest one.
+
+    Args:
+        shapes: shapely Polygons that do not overlap, shape (n,).
+        rows: unit of each, shape (n,).
+    """
+
+    def __init__(self, shapes, rows):
+        self.shapes, self.rows = shapes, np.asarray(rows, dtype=np.int16)
+        self.bounds = shapely.bounds(shapes)
+        self.tree = shapely.STRtree(shapes)
+        shapely.prepare(shapes)
+
+    def __call__(self, points):
+        """Return the unit of points (n, 2), m, as rows, shape (n,), int16."""
+        points = np.asarray(points, dtype=float).reshape(-1, 2)
+        order = np.argsort(points[:, 0], kind="stable")
+        x, z = points[order].T
+        found = np.full(len(points), -1, dtype=np.int16)
+        starts = np.searchsorted(x, self.bounds[:, 0], "left")
+        stops = np.searchsorted(x, self.bounds[:, 2], "right")
+        for shape, row, (_, low, _, high), start, stop in zip(
+            self.shapes, self.rows, self.bounds, starts, stops, strict=True
+        ):
+            span = slice(start, stop)
+            near = start + np.flatnonzero((found[span] < 0) & (z[span] >= low) & (z[span] <= high))
+            found[near[shapely.intersects_xy(shape, x[near], z[near])]] = row
+        lost = np.flatnonzero(found < 0)
+        if len(lost):
+            beyond = shapely.points(x[lost], z[lost])
+            pairs = self.tree.query_nearest(beyond, all_matches=False)
+            found[lost[pairs[0]]] = self.rows[pairs[1]]
+        result = np.empty_like(found)
+        result[order] = found
+        return result
 
 
 def frame(whole, tolerance, grid):
@@ -184,7 +235,10 @@ def frame(whole, tolerance, grid):
     ring = shapely.get_coordinates(shapely.orient_polygons(whole).exterior)[:-1]
     x0, x1 = ring[:, 0].min(), ring[:, 0].max()
     if x1 - x0 < 10 * tolerance:
-        return None, [f"the section is only {x1 - x0:.3g} m wide, near {place(ring[0])}"], []
+        found = (
+            f"the section is {number(x1 - x0)} m wide, but the tolerance is {number(tolerance)} m"
+        )
+        return None, [f"{found}; give a tolerance below a tenth of the width"], []
     wrong, notes = [], []
     corners = []
     for name, edge, off in (
@@ -196,7 +250,7 @@ def frame(whole, tolerance, grid):
             wrong.append(_leaning(name, edge, ring))
             continue
         if (moved := off[off <= tolerance].max()) > 2 * grid:
-            notes.append(f"the {name} side was straightened by up to {moved:.2g} m")
+            notes.append(f"the {name} side was straightened by up to {number(moved)} m")
         corners.append((start, stop))
     if wrong:
         return None, wrong, []
@@ -207,7 +261,7 @@ def frame(whole, tolerance, grid):
     }
     for name, line in lines.items():
         line[0, 0], line[-1, 0] = x0, x1
-        lines[name], problem = _single_valued(name, line, tolerance)
+        lines[name], problem = _single_valued(name, line, tolerance, np.ptp(ring[:, 1]))
         wrong += [problem] if problem else []
     return (None if wrong else Outline(lines["surface"], lines["base"])), wrong, notes
 
@@ -225,27 +279,27 @@ def _between(ring, start, stop):
     return ring[np.arange(start, stop + 1) % len(ring)].copy()
 
 
-def _single_valued(name, line, tolerance):
+def _single_valued(name, line, tolerance, height):
     """Return a line of strictly ascending x, and what is wrong with it or None."""
     reach = np.maximum.accumulate(line[:, 0])
     back = reach - line[:, 0]
     if back.max() > tolerance:
-        where = place(line[back.argmax()])
-        advice = "cut the section there, or draw the overhang below the top"
-        return line, (
-            f"the {name} doubles back by {back.max():.3g} m near {where}: it must have one z at "
-            f"every x; {advice if name == 'surface' else 'cut it at a level base'}"
+        where = f"{number(back.max())} m near {place(line[back.argmax()])}"
+        advice = (
+            "fill the space under the overhang" if name == "surface" else "cut it at a level base"
         )
-    line = line[np.append(True, reach[1:] > reach[:-1])]
-    dx, dz = np.abs(np.diff(line, axis=0)).T
-    step = np.where(dz > STEEPEST * dx, dz, 0)
-    if step.max() > 5 * tolerance:
-        where = place(line[step.argmax() : step.argmax() + 2].mean(axis=0))
-        return line, (
-            f"the {name} has a vertical step of {step.max():.3g} m near {where}: sides must be "
-            "vertical lines, and surface and base slopes between them; redraw it there"
-        )
-    return line, None
+        return line, f"the {name} doubles back by {where}; it must have one z at every x: {advice}"
+    rough = shapely.get_coordinates(shapely.simplify(shapely.linestrings(line), tolerance))
+    dx, dz = np.abs(np.diff(rough, axis=0)).T
+    for slope, drop in STEEP:
+        fall = np.where(dz > slope * dx, dz, 0)
+        if fall.max() > max(drop * height, 5 * tolerance):
+            middle = place(rough[fall.argmax() : fall.argmax() + 2].mean(axis=0))
+            return line, (
+                f"the {name} rises or falls {number(fall.max())} m like a wall near {middle}: fill "
+                "it if it is a gap, or cut the section at one vertical line from base to surface"
+            )
+    return line[np.append(True, reach[1:] > reach[:-1])], None
 
 
 def _leaning(name, edge, ring):
@@ -263,6 +317,6 @@ def _leaning(name, edge, ring):
             f"the {name} side is not one vertical line: it has a notch near {place(far)}; fill it"
         )
     return (
-        f"the {name} side is not vertical: it runs {off.max():.3g} m off, to {place(far)}; "
+        f"the {name} side is not vertical: it runs {number(off.max())} m off, to {place(far)}; "
         f"cut the section at a vertical line"
     )

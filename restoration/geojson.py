@@ -8,11 +8,11 @@ import numpy as np
 
 from restoration.errors import CaseError, Fault
 from restoration.files import MB, read_text
-from restoration.words import hint, quoted
+from restoration.words import counted, hint, quoted
 
 LARGEST = 50 * MB
 MOST_VERTICES = 1_000_000
-MOST_FEATURES = 50_000
+MOST_FEATURES = 30_000
 EXPORT = "export the layer as GeoJSON (in QGIS: Export, Save Features As)"
 SKIPPED = "skipped: a section is drawn with polygons, and lines for faults"
 
@@ -25,7 +25,7 @@ class Patch:
         entry: where it is in the file, such as ``features[3]``.
         unit: name of its unit.
         key: value of the property that picks the rock; None without one.
-        shape: shapely Polygon or MultiPolygon, m, z up.
+        shape: shapely Polygon, m, z up; a MultiPolygon makes several patches.
     """
 
     entry: str
@@ -78,7 +78,8 @@ def read_collection(path, shown):
     except RecursionError:
         raise _refused(shown, "is nested too deeply for GeoJSON") from None
     except ValueError as error:
-        raise _refused(shown, str(error)) from None
+        digits = "holds a number of thousands of digits; correct that vertex"
+        raise _refused(shown, digits if "digits" in str(error) else str(error)) from None
     kind = data.get("type") if isinstance(data, dict) else None
     if kind == "Feature":
         data = {"type": "FeatureCollection", "features": [data], "crs": data.get("crs")}
@@ -143,23 +144,26 @@ def read_drawing(data, shown, unit_property, rock_property=None, scale=1.0, sign
         points = {}
         for ring in rings:
             points[id(ring)], third = _points(drawing, entry, ring, scale, sign)
+            if points[id(ring)] is None:
+                break
             dropped += third
-            vertices += len(ring) if isinstance(ring, list) else 0
+            vertices += len(ring)
         if vertices > MOST_VERTICES:
             raise _refused(shown, f"has more than {MOST_VERTICES:,} vertices; simplify the lines")
-        if any(ring is None for ring in points.values()):
+        if any(points.get(id(ring)) is None for ring in rings):
             continue
         if not area:
             name = _text(values.get("name") or values.get(unit_property)) or f"fault {number}"
             drawing.faults += [(name, points[id(ring)]) for ring in rings if len(ring) > 1]
             continue
         unit = entry if unit_property is None else _unit(drawing, entry, values, unit_property)
-        shape = _shape(drawing, entry, unit, [[points[id(r)] for r in part] for part in parts])
-        if shape is not None and unit is not None:
-            drawing.patches.append(Patch(entry, unit, _text(values.get(rock_property)), shape))
+        for part in parts:
+            shape = _shape(drawing, entry, unit, [points[id(ring)] for ring in part])
+            if shape is not None and unit is not None:
+                drawing.patches.append(Patch(entry, unit, _text(values.get(rock_property)), shape))
     if dropped:
         drawing.notes.append("the coordinates have a third value; it is not used")
-    _judge(drawing, known, unit_property)
+    _judge(drawing, known, unit_property, rock_property)
     return drawing
 
 
@@ -179,17 +183,21 @@ def properties(data):
     return found
 
 
-def _judge(drawing, known, unit_property):
-    """Replace many faults of one cause by one fault that names the cause."""
-    if unit_property is not None and not any(known.get(unit_property, ())) and known:
-        what = "is empty on" if unit_property in known else "is on none of"
-        others = [name for name in known if name != unit_property and known[name]]
-        advice = hint(unit_property, others) or "; add it and fill in the name of the unit"
-        drawing.problems = [fault for fault in drawing.problems if "has no unit" not in str(fault)]
-        drawing.refuse("", f"the property '{unit_property}' {what} the polygons{advice}")
-    elif not drawing.patches and not drawing.problems:
-        lines = f" (only {len(drawing.faults)} lines)" if drawing.faults else ""
-        drawing.refuse("", f"holds no polygons{lines}; draw the units as polygons that fill it")
+def _judge(drawing, known, unit_property, rock_property):
+    """Take down what is wrong with the whole, in place of one fault for each polygon."""
+    for wanted, entry in ((unit_property, "property"), (rock_property, "rock_property")):
+        nameless = [fault for fault in drawing.problems if "has no unit" in fault.message]
+        if wanted is None or known.get(wanted) or not (drawing.patches or nameless):
+            continue
+        what = "is empty on all polygons" if wanted in known else "is on none of the polygons"
+        others = [name for name in known if name != wanted and known[name]]
+        advice = f"{hint(wanted, others)}; name it as '{entry}' in 'section' of the case"
+        advice = advice if others else "; they have no properties: add it and fill in the names"
+        drawing.problems = [fault for fault in drawing.problems if fault not in nameless]
+        drawing.refuse("", f"the property '{wanted}' {what}{advice}")
+    if not drawing.patches and not drawing.problems:
+        lines = f", only {counted(len(drawing.faults), 'line')}" if drawing.faults else ""
+        drawing.refuse("", f"holds no polygons{lines}; draw every unit as polygons, side by side")
 
 
 def _feature(drawing, entry, feature):
@@ -230,15 +238,20 @@ def _points(drawing, entry, ring, scale, sign):
     ):
         drawing.refuse(entry, f"holds something that is not {wrong} [x, z]; {EXPORT}")
         return None, False
-    if not all(type(value) in (int, float) for point in ring for value in point[:2]):
-        drawing.refuse(entry, "holds a coordinate that is not a number; correct that vertex")
-        return None, False
+    for value in (value for point in ring for value in point[:2]):
+        if type(value) not in (int, float):
+            drawing.refuse(entry, f"holds {quoted(value)} as a coordinate; correct that vertex")
+            return None, False
     try:
         points = np.array([point[:2] for point in ring], dtype=float).reshape(-1, 2)
     except OverflowError:
-        points = np.array([[np.inf, np.inf]])
+        points = np.array([[min(abs(value), 1e300) for value in point[:2]] for point in ring])
     if not (np.abs(points) * scale < 1e9).all():
-        drawing.refuse(entry, "holds a coordinate beyond 1e9 m; correct that vertex")
+        far = ~(np.abs(points) * scale < 1e9).all(axis=1)
+        vertex = f"vertex {far.argmax() + 1}"
+        drawing.refuse(
+            entry, f"holds a coordinate beyond 1e9 m; correct {vertex} of a ring or line"
+        )
         return None, False
     return points * [scale, scale * sign] + 0.0, any(len(point) > 2 for point in ring)
 
@@ -264,31 +277,28 @@ def _text(value):
     return " ".join(text.split()) or None
 
 
-def _shape(drawing, entry, unit, parts):
+def _shape(drawing, entry, unit, rings):
     """Return the shapely shape of a polygon; None, with its faults taken down, where it is bad."""
     import shapely
 
     name = f"polygon {quoted(unit)}" if unit and unit != entry else "polygon"
-    for ring in (ring for part in parts for ring in part):
-        size = max(np.ptp(ring, axis=0).max(), 1e-300) if len(ring) else 0
+    for ring in rings:
         if len(ring) < 4:
-            found = f"{len(ring)} positions; it needs 4, the last one like the first"
+            found = f"{counted(len(ring), 'position')}; it needs 4, the last one like the first"
             return drawing.refuse(entry, f"a ring of {name} has only {found}")
-        if np.abs(ring[0] - ring[-1]).max() > 1e-9 * size:
+        if np.abs(ring[0] - ring[-1]).max() > 1e-9 * np.ptp(ring, axis=0).max():
             ends = f"it starts at {place(ring[0])} and ends at {place(ring[-1])}"
             return drawing.refuse(
                 entry, f"a ring of {name} is not closed: {ends}; repeat the first position"
             )
         ring[-1] = ring[0]
-    shape = shapely.multipolygons([shapely.Polygon(part[0], part[1:]) for part in parts])
-    shape = shape.geoms[0] if len(parts) == 1 else shape
-    if not shape.area > 0:
-        at = place(parts[0][0][0])
-        return drawing.refuse(entry, f"{name} has no area, near {at}; delete it")
+    shape = shapely.Polygon(rings[0], rings[1:])
     reason = shapely.is_valid_reason(shape)
     if reason.startswith("Ring Self-intersection"):
-        return shapely.make_valid(shape, method="structure")
-    if reason != "Valid Geometry":
+        shape = shapely.make_valid(shape, method="structure")
+    elif not shape.convex_hull.area > 0 or reason.startswith("Too few"):
+        return drawing.refuse(entry, f"{name} has no area, near {place(rings[0][0])}; delete it")
+    elif reason != "Valid Geometry":
         return drawing.refuse(entry, f"{name} {_invalid(reason)}")
     return shape
 
@@ -299,7 +309,6 @@ INVALID = (  # (what GEOS says, what it means)
     ("Holes are nested", "has a hole within a hole near {}; make the inner ring a polygon"),
     ("Interior is disconnected", "is cut in two by its hole near {}; split it"),
     ("Duplicate Rings", "has the same ring twice near {}; delete one"),
-    ("Nested shells", "has one part inside another near {}; delete the inner part"),
 )
 
 

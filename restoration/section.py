@@ -14,7 +14,7 @@ from restoration.words import counted, listed, quoted
 
 TOLERANCE = 1e-3  # of the height: narrower gaps and overlaps are closed
 MOST_FLAWS = 10  # gaps and overlaps that are named one by one
-SMALL = 100.0  # m; a section below it may have been drawn in km
+SMALL = (1000.0, 100.0)  # width and height, m; a section below both may have been drawn in km
 GEOGRAPHIC = ("CRS84", "EPSG::4326", "EPSG:4326", "EPSG::4258", "EPSG:4258")
 
 
@@ -39,48 +39,6 @@ class Section:
     unit_at: Callable[[np.ndarray], np.ndarray]
     areas: dict[str, float]
     notes: tuple[str, ...]
-
-
-class UnitAt:
-    """Maps points to units; a point in no polygon belongs to the nearest one.
-
-    Args:
-        shapes: shapely Polygons that do not overlap, shape (n,).
-        rows: unit of each, shape (n,).
-    """
-
-    def __init__(self, shapes, rows):
-        import shapely
-
-        self.shapes, self.rows = shapes, np.asarray(rows, dtype=np.int16)
-        self.bounds = shapely.bounds(shapes)
-        self.tree = shapely.STRtree(shapes)
-        shapely.prepare(shapes)
-
-    def __call__(self, points):
-        """Return the unit of points (n, 2), m, as rows, shape (n,), int16."""
-        import shapely
-
-        points = np.asarray(points, dtype=float).reshape(-1, 2)
-        order = np.argsort(points[:, 0], kind="stable")
-        x, z = points[order].T
-        found = np.full(len(points), -1, dtype=np.int16)
-        starts = np.searchsorted(x, self.bounds[:, 0], "left")
-        stops = np.searchsorted(x, self.bounds[:, 2], "right")
-        for shape, row, (_, low, _, high), start, stop in zip(
-            self.shapes, self.rows, self.bounds, starts, stops, strict=True
-        ):
-            span = slice(start, stop)
-            near = start + np.flatnonzero((found[span] < 0) & (z[span] >= low) & (z[span] <= high))
-            found[near[shapely.intersects_xy(shape, x[near], z[near])]] = row
-        lost = np.flatnonzero(found < 0)
-        if len(lost):
-            beyond = shapely.points(x[lost], z[lost])
-            pairs = self.tree.query_nearest(beyond, all_matches=False)
-            found[lost[pairs[0]]] = self.rows[pairs[1]]
-        result = np.empty_like(found)
-        result[order] = found
-        return result
 
 
 def read_section(
@@ -123,9 +81,11 @@ def _arranged(drawing, tolerance):
     low_x, low, high_x, high = shapely.total_bounds(shapes)
     if tolerance is None:
         tolerance = TOLERANCE * (high - low)
-    if max(high_x - low_x, high - low) < SMALL:
+    if high_x - low_x < SMALL[0] and high - low < SMALL[1]:
         size = f"{number(high_x - low_x)} m wide and {number(high - low)} m high"
-        drawing.notes.append(f"the section is only {size}: are its coordinates in km?")
+        drawing.notes.append(
+            f"the section is only {size}; if it is drawn in km, write coordinates: km in 'section'"
+        )
     arrangement = arrange(shapes, tolerance)
     _tell_flaws(drawing, arrangement, tolerance)
     pieces = shapely.get_parts(arrangement.whole)
@@ -159,10 +119,15 @@ def _tell_flaws(drawing, arrangement, tolerance):
         fill = f"a tolerance above {number(flaw.width, 2)} m closes it"
         fill = f" ({fill})" if flaw.width < 20 * tolerance else ""
         if flaw.gap:
-            message = f"gap near {flaw.at} ({size}) between {names}: extend one of them{fill}"
-            drawing.refuse("", message)
-        elif _same(patches):
-            drawing.refuse(patches[1].entry, f"is the same polygon as {names}: delete one")
+            todo = f"between {names}: extend one of them over it"
+            todo = todo if len(patches) > 1 else f"in {names}: draw a polygon that fills it"
+            drawing.refuse("", f"gap near {flaw.at} ({size}) {todo}{fill}")
+        elif patches[0].shape.equals(patches[1].shape):
+            other = f"{patches[0].entry} {quoted(patches[0].unit)}"
+            message = (
+                f"{quoted(patches[1].unit)} is the same polygon as {other}: delete one of them"
+            )
+            drawing.refuse(patches[1].entry, message)
         else:
             message = f"overlap near {flaw.at} ({size}) of {names}: cut one of them there{fill}"
             drawing.refuse(patches[-1].entry, message)
@@ -175,11 +140,6 @@ def _tell_flaws(drawing, arrangement, tolerance):
         drawing.notes.append(
             f"{what} between polygons, narrower than {number(tolerance, 2)} m, closed ({total})"
         )
-
-
-def _same(patches):
-    """Return whether two polygons are one drawn twice."""
-    return patches[0].shape.equals(patches[1].shape)
 
 
 def _tell_pieces(drawing, pieces):
@@ -204,25 +164,27 @@ def _section(drawing, arrangement, outline, tolerance):
     """Return the `Section` of an arrangement without flaws."""
     import shapely
 
-    from restoration.arrangement import contacts
+    from restoration.arrangement import UnitAt, contacts, grouped
 
-    names = np.array([drawing.patches[row].unit for row in arrangement.owner])
-    areas = shapely.area(arrangement.faces)
-    z = shapely.get_y(shapely.centroid(arrangement.faces))
-    total = {name: float(areas[names == name].sum()) for name in np.unique(names).tolist()}
-    depth = {name: (areas * z)[names == name].sum() / total[name] for name in total}
-    units = tuple(sorted(total, key=lambda name: (depth[name], name)))
-    row = {name: index for index, name in enumerate(units)}
-    unit = np.array([row[name] for name in names.tolist()])
+    faces = arrangement.faces
+    names, unit = np.unique(
+        [drawing.patches[i].unit for i in arrangement.owner], return_inverse=True
+    )
+    areas, z = shapely.area(faces), shapely.get_y(shapely.centroid(faces))
+    total = np.bincount(unit, areas)
+    order = np.argsort(np.bincount(unit, areas * z) / total, kind="stable")
+    units, total = tuple(names[order].tolist()), total[order].tolist()
+    unit = np.argsort(order)[unit]
     lines = [
         Line(f"{units[lower]} / {units[upper]}", "horizon", points)
         for (lower, upper), pieces in contacts(arrangement, unit, tolerance).items()
         for points in pieces
     ]
-    lines += [Line(name, "fault", points) for name, points in drawing.faults]
-    parts = [shapely.get_parts(shapely.coverage_union_all(arrangement.faces[unit == index]))
-             for index in range(len(units))]  # fmt: skip
-    rows = np.repeat(np.arange(len(units)), [len(part) for part in parts])
+    lines += _faults(drawing, arrangement.whole, tolerance)
+    parts = [
+        shapely.get_parts(shapely.coverage_union_all(faces[rows]))
+        for rows in grouped(unit, len(units))
+    ]
     keys = {name: {} for name in units}
     for patch in drawing.patches:
         if patch.key and patch.unit in keys:
@@ -232,19 +194,31 @@ def _section(drawing, arrangement, outline, tolerance):
         {name: tuple(found) for name, found in keys.items()},
         outline,
         tuple(lines),
-        UnitAt(np.concatenate(parts), rows),
-        {name: total[name] for name in units},
-        tuple(dict.fromkeys(drawing.notes + _remarks(drawing))),
+        UnitAt(np.concatenate(parts), np.repeat(np.arange(len(units)), [*map(len, parts)])),
+        dict(zip(units, total, strict=True)),
+        tuple(dict.fromkeys(drawing.notes)),
     )
 
 
-def _remarks(drawing):
-    """Return notes on what the section holds."""
-    notes = []
+def _faults(drawing, whole, tolerance):
+    """Return the fault lines, cut where they leave the section, with notes on them."""
+    import shapely
+
+    lines = []
+    for name, points in drawing.faults:
+        line = shapely.linestrings(points)
+        within = shapely.intersection(line, whole)
+        pieces = shapely.get_parts(shapely.line_merge(within))
+        pieces = [piece for piece in pieces if piece.geom_type == "LineString" and piece.length]
+        if line.length - within.length > tolerance:
+            drawing.notes.append(
+                f"fault {quoted(name)} reaches beyond the section; it is cut there"
+            )
+        lines += [Line(name, "fault", shapely.get_coordinates(piece)) for piece in pieces]
     if drawing.faults:
-        found = counted(len(drawing.faults), "fault")
-        notes.append(f"{found} move with the rock; they have no mechanical effect yet")
-    return notes
+        count = len(drawing.faults)
+        drawing.notes.append(f"faults ({count}) move with the rock; they do not yet slip or weaken")
+    return lines
 
 
 def _units_alike(drawing):
@@ -274,8 +248,8 @@ def _degrees(drawing, data, scale):
     if (east - west < 1 and north - south < 1) or _crs(data).endswith(GEOGRAPHIC):
         drawing.refuse(
             "", f"its coordinates look like degrees (x from {west:g} to {east:g}, z from {south:g} "
-            f"to {north:g}); export it in the coordinates of the section, m along it and m up, or "
-            "say that they are in km",
+            f"to {north:g}); export the section in m along and up, or, if it is drawn in km, write "
+            "coordinates: km in 'section' of the case",
         )  # fmt: skip
 
 
@@ -294,9 +268,9 @@ def survey(path, shown):
         shown: its name in messages.
 
     Returns:
-        polygons, fault_lines, vertices (counts); properties {name: values}; unit_property (the
-        most likely one, or None); extent {x: (low, high), z: (low, high)} as given, or None; crs;
-        hints (units, depth, degrees) and faults, as text.
+        polygons, fault_lines, vertices (counts); properties {name: values}; extent {x: (low, high),
+        z: (low, high)} as given, or None; crs (or None); property (the one that most likely names
+        the unit, or None), coordinates and vertical: what a case would say; hints and faults, text.
 
     Raises:
         CaseError: it is not a GeoJSON FeatureCollection.
@@ -305,24 +279,36 @@ def survey(path, shown):
 
     data = read_collection(path, shown)
     known = properties(data)
-    chosen = _likely(known)
+    chosen, hints = _likely(known), []
     drawing = read_drawing(data, shown, chosen)
-    _degrees(drawing, data, 1.0)
     shapes = [patch.shape for patch in drawing.patches]
-    extent = None
+    extent, coordinates, vertical = None, "m", "up"
+    _degrees(drawing, data, 1.0)
+    degrees = [fault for fault in drawing.problems if "degrees" in fault.message]
     if shapes:
         west, south, east, north = shapely.total_bounds(shapes).tolist()
         extent = {"x": (west, east), "z": (south, north)}
+    if shapes and not degrees:
+        if east - west < SMALL[0] and north - south < SMALL[1]:
+            coordinates = "km"
+            hints.append(f"{east - west:g} wide and {north - south:g} high: taken as km")
+        if south >= 0:
+            vertical = "down"
+            hints.append(f"z runs from {south:g} to {north:g}, never below 0: taken as depth")
+        scales = 1e3 if coordinates == "km" else 1.0, -1.0 if vertical == "down" else 1.0
+        drawing = read_drawing(data, shown, chosen, None, *scales)
         _arranged(drawing, None)
     return {
         "polygons": len(shapes),
         "fault_lines": len(drawing.faults),
         "vertices": int(shapely.get_num_coordinates(shapes).sum()) if shapes else 0,
         "properties": known,
-        "unit_property": chosen,
         "extent": extent,
         "crs": _crs(data) or None,
-        "hints": list(dict.fromkeys(drawing.notes + _hints(extent))),
+        "property": chosen,
+        "coordinates": coordinates,
+        "vertical": vertical,
+        "hints": list(dict.fromkeys(hints + drawing.notes + _units_alike(drawing))),
         "faults": [str(fault) for fault in shortened(drawing.problems)],
     }
 
@@ -340,13 +326,3 @@ def _likely(known):
 
 def _is_number(text):
     return text.replace(".", "", 1).lstrip("-").isdigit()
-
-
-def _hints(extent):
-    """Return what the extent of the coordinates suggests."""
-    if extent is None:
-        return []
-    low, high = extent["z"]
-    if low >= 0 and high > 0:
-        return ["no z is below 0: is the second coordinate a depth, positive downwards?"]
-    return []
