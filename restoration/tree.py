@@ -90,7 +90,7 @@ def read_tree(text, file):
         for event in YAML(typ="rt", pure=True).parse(text):
             builder.take(event)
     except YAMLError as error:
-        raise CaseError([*tree.faults, _syntax_fault(error, file)]) from None
+        raise CaseError([*tree.faults, _syntax_fault(error, file, text)]) from None
     except (ValueError, RecursionError, AttributeError, IndexError, OverflowError) as error:
         raise CaseError([Fault(file, None, None, "", f"cannot be read as YAML: {error}")]) from None
     return tree
@@ -108,9 +108,9 @@ def override(tree, assignment):
     """
     name, equals, text = assignment.partition("=")
     path = tuple(_index(part) for part in name.strip().split("."))
-    file = f"--set {name.strip()}"
+    file = f"--set {quoted(name.strip())[1:-1]}"
     if not equals or not all(part != "" for part in path):
-        raise _refused(f"--set {assignment[:80]}", "write --set entry=value, such as mesh.cells=32")
+        raise _refused(file, "write --set entry=value, such as mesh.cells=32")
     if len(path) > DEEPEST:
         raise _refused(file, "is nested too deeply")
     try:
@@ -181,6 +181,7 @@ class _Builder:
         self.tree = tree
         self.stack = []  # of [values, path, pending key or None]
         self.nodes = self.documents = 0
+        self.doubles = []  # paths given twice; their inner entries are not told again
 
     def take(self, event):
         """Take the next event."""
@@ -243,14 +244,16 @@ class _Builder:
         """Return the name of an entry, and refuse what cannot be one."""
         _, path, _ = self.stack[-1]
         if not isinstance(event, ev.ScalarEvent):
-            self.refuse(event, "a name of an entry must be plain text")
+            self.refuse(event, "a list or group as the name of an entry: write plain text")
             return f"({self.nodes})"
         key = event.value
         place = self.tree.keys.get((*path, key))
         if place:
             message = f"is given twice, first in line {place.line}; keep one"
             self.tree.keys[(*path, key)] = self.place(event)
-            self.tree.faults.append(self.tree.fault((*path, key), message, at="key"))
+            self.doubles.append((*path, key))
+            if not any((*path, key)[: len(double)] == double for double in self.doubles[:-1]):
+                self.tree.faults.append(self.tree.fault((*path, key), message, at="key"))
         self.tree.keys[(*path, key)] = self.place(event)
         return key
 
@@ -297,7 +300,7 @@ SYNTAX = {
 }
 
 
-def _syntax_fault(error, file):
+def _syntax_fault(error, file, text):
     """Return what a parser error means, at its place."""
     mark = getattr(error, "problem_mark", None) or getattr(error, "context_mark", None)
     problem = str(getattr(error, "problem", None) or getattr(error, "reason", None) or error)
@@ -306,6 +309,9 @@ def _syntax_fault(error, file):
     line, column = (mark.line + 1, mark.column + 1) if mark else (None, None)
     start = getattr(error, "context_mark", None)
     since = f" (begun in line {start.line + 1})" if start and start.line + 1 != line else ""
+    begun = "" if start is None else text.splitlines()[start.line : start.line + 1]
+    if "bracket" in meaning and " #" in "".join(begun):
+        since += "; # begins a comment, so a colour needs quotes"
     return Fault(file, line, column, "", f"not YAML: {meaning}{since}")
 
 

@@ -9,14 +9,14 @@ MANY = 12  # names a message lists at most
 def quoted(value):
     """Return what was found, in quotes, shortened, and on one line."""
     if isinstance(value, dict):
-        return f"a group of entries ({listed(value)})" if value else "an empty group"
+        return f"a group of entries ({listed(value, 'and')})" if value else "an empty group"
     if isinstance(value, (list, tuple)):
         return f"a list of {len(value)}"
     if value is None:
         return "nothing"
     if isinstance(value, bool):
         return str(value).lower()
-    text = str(value)
+    text = str(value).replace("e+", "e") if isinstance(value, float) else str(value)
     text = text if len(text) <= SHORT else text[: SHORT - 3] + "..."
     return "".join(sign if sign.isprintable() else "?" for sign in f"'{text}'")
 
