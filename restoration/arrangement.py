@@ -25,7 +25,7 @@ class Flaw:
     Attributes:
         gap: whether it is a gap.
         shape: shapely Polygon.
-        patches: rows of the polygons that overlap, or that are beside the gap.
+        patches: rows of the polygons that overlap; empty for a gap.
     """
 
     gap: bool
@@ -83,16 +83,15 @@ def arrange(shapes, tolerance):
     noded = shapely.union_all(borders, grid_size=grid)
     faces = shapely.get_parts(shapely.polygonize([noded]))
     points = shapely.point_on_surface(faces)
-    face, patch = tree.query(points, predicate="intersects")
-    order = np.lexsort((patch, face))
-    face, patch = face[order], patch[order]
+    face, patch = _within(points, shapes, tree)
     count = np.bincount(face, minlength=len(faces))
     owner = np.full(len(faces), -1)
     owner[face[::-1]] = patch[::-1]  # of several the first
     empty = count == 0
-    flaws = _flaws(faces, empty, face, patch, count, tree)
+    flaws = _flaws(faces, empty, face, patch, count)
     wide = _wider(flaws, tolerance)
-    closed = [flaw for flaw in _wider(flaws, 4 * grid) if flaw not in wide]
+    wide_ones = set(map(id, wide))
+    closed = [flaw for flaw in _wider(flaws, 4 * grid) if id(flaw) not in wide_ones]
     if empty.any():
         pairs = tree.query_nearest(points[empty], all_matches=False)
         owner[np.flatnonzero(empty)[pairs[0]]] = pairs[1]
@@ -114,22 +113,31 @@ def _notches(shapes, tree, tolerance, grid):
     sharp = {"join_style": "mitre", "mitre_limit": 20}
     wider = shapely.buffer(filled, 0.5 * tolerance, **sharp)
     closed = shapely.buffer(wider, -0.5 * tolerance, **sharp)
-    notches = shapely.get_parts(shapely.difference(closed, filled, grid_size=grid))
+    notches = shapely.get_parts(shapely.difference(closed, filled))
     notches = notches[~shapely.is_empty(shapely.buffer(notches, -2 * grid))]
     near = [len(tree.query(notch, "dwithin", 2 * grid)) for notch in notches]
     return notches[np.array(near, dtype=int) > 1]
 
 
-def _flaws(faces, empty, face, patch, count, tree):
+def _within(points, shapes, tree):
+    """Return rows of points, ascending, and rows of the shapes each is in, ascending."""
+    point, shape = tree.query(points)
+    shapely.prepare(shapes)
+    inside = shapely.intersects_xy(
+        shapes[shape], shapely.get_x(points)[point], shapely.get_y(points)[point]
+    )
+    point, shape = point[inside], shape[inside]
+    order = np.lexsort((shape, point))
+    return point[order], shape[order]
+
+
+def _flaws(faces, empty, face, patch, count):
     """Return a `Flaw` for every connected set of empty faces, and of faces with the same owners."""
     groups = {}
     for row in np.flatnonzero(count > 1):
         start, stop = np.searchsorted(face, [row, row + 1])
         groups.setdefault(tuple(patch[start:stop].tolist()), []).append(row)
-    flaws = []
-    for part in _connected(faces[empty]):
-        beside = tuple(sorted(tree.query(part, "intersects").tolist()))
-        flaws.append(Flaw(True, part, beside))
+    flaws = [Flaw(True, part, ()) for part in _connected(faces[empty])]
     for owners, rows in groups.items():
         flaws += [Flaw(False, part, owners) for part in _connected(faces[rows])]
     return flaws
@@ -249,7 +257,10 @@ def frame(whole, tolerance, grid):
         if start is None or abs(ring[start, 1] - ring[stop, 1]) <= 2 * tolerance:
             wrong.append(_leaning(name, edge, ring))
             continue
-        if (moved := off[off <= tolerance].max()) > 2 * grid:
+        side = np.arange(start, stop + 1 if stop >= start else stop + len(ring) + 1) % len(ring)
+        side = _upright(side, ring)
+        start, stop = side[0], side[-1]
+        if (moved := off[side].max()) > 2 * grid:
             notes.append(f"the {name} side was straightened by up to {number(moved)} m")
         corners.append((start, stop))
     if wrong:
@@ -271,6 +282,13 @@ def _run(near):
     starts = np.flatnonzero(near & ~np.roll(near, 1))
     stops = np.flatnonzero(near & ~np.roll(near, -1))
     return (starts[0], stops[0]) if len(starts) == 1 else (None, None)
+
+
+def _upright(side, ring):
+    """Return the rows of a side without the points of surface and base that begin it and end it."""
+    dx, dz = np.abs(np.diff(ring[side], axis=0)).T
+    steep = np.flatnonzero(dz > dx)
+    return side[steep[0] : steep[-1] + 2] if len(steep) else side
 
 
 def _between(ring, start, stop):

@@ -1,5 +1,6 @@
 """A section from a GeoJSON file: units, contacts, faults and the frame, in m, z up."""
 
+import re
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -15,6 +16,7 @@ from restoration.words import counted, listed, quoted
 TOLERANCE = 1e-3  # of the height: narrower gaps and overlaps are closed
 MOST_FLAWS = 10  # gaps and overlaps that are named one by one
 SMALL = (1000.0, 100.0)  # width and height, m; a section below both may have been drawn in km
+SEPARATORS = re.compile("[ _-]+")
 GEOGRAPHIC = ("CRS84", "EPSG::4326", "EPSG:4326", "EPSG::4258", "EPSG:4258")
 
 
@@ -114,6 +116,10 @@ def _tell_flaws(drawing, arrangement, tolerance):
                 f"{names} overlap near {flaw.at}; both are {quoted(patches[0].unit)}"
             )
     for flaw, patches in flaws[:MOST_FLAWS]:
+        if flaw.gap:
+            patches = [
+                patch for patch in drawing.patches if patch.shape.dwithin(flaw.shape, tolerance)
+            ]
         names = listed([f"{patch.entry} {quoted(patch.unit)}" for patch in patches], "and")
         size = f"{_area(flaw.shape.area)}, up to {number(flaw.width, 2)} m wide"
         fill = f"a tolerance above {number(flaw.width, 2)} m closes it"
@@ -224,15 +230,13 @@ def _faults(drawing, whole, tolerance):
 def _units_alike(drawing):
     """Return notes on units whose names differ only by case or spaces."""
     alike = {}
-    for patch in drawing.patches:
-        alike.setdefault("".join(patch.unit.casefold().split("_")).replace(" ", ""), {})[
-            patch.unit
-        ] = None
+    for name in dict.fromkeys(patch.unit for patch in drawing.patches):
+        alike.setdefault(SEPARATORS.sub(" ", name).casefold(), []).append(name)
     return [
-        f"{listed(map(quoted, names), 'and')} are taken as different units; is it one?"
+        f"units {listed(map(quoted, names), 'and')} stay apart; if they are one, name them alike"
         for names in alike.values()
         if len(names) > 1
-    ]
+    ][:MOST_FLAWS]
 
 
 def _degrees(drawing, data, scale):
