@@ -22,8 +22,8 @@ from pydantic import (
 from restoration.errors import CaseError
 from restoration.files import read_text
 from restoration.tree import override, read_tree, shortened
-from restoration.units import Quantity, advice, parse, show
-from restoration.words import hint, listed, quoted
+from restoration.units import UNITS, Quantity, advice, parse, show
+from restoration.words import hint, listed, nearest, quoted
 
 # Defaults by accuracy; the measurements behind them are in docs/accuracy.md.
 PRESETS = {
@@ -36,6 +36,8 @@ LATER = {
     ("mesh", "refine"): "mesh refinement is not built yet; raise mesh.cells instead",
     ("faults",): "faults with a strength of their own are not built yet; lines of a section file "
     "are followed and drawn",
+    ("boundary", "front"): "sections are two-dimensional so far; remove this wall",
+    ("boundary", "back"): "sections are two-dimensional so far; remove this wall",
 }
 SYNONYMS = {"top": "surface", "bottom": "base", "walls": "boundary", "colour": "color"}
 FREE_SURFACE = (
@@ -45,6 +47,8 @@ FREE_SURFACE = (
 # Entries of a section that only a file has a use for.
 FILE_ENTRIES = ("property", "rock_property", "coordinates", "vertical", "tolerance")
 WALLS = ("left", "right", "base", "surface")
+LONGEST = 1e4 * UNITS["time"]["Myr"]  # s, of a march
+HIGHEST = {"velocity": 1.0, "pressure": 1e12}  # of walls, SI
 COLOR = re.compile(r"#[0-9a-fA-F]{6}")
 
 
@@ -110,7 +114,10 @@ def read_mark(value):
     """Return a model time as a time or, after today, an age."""
     text = value.strip() if isinstance(value, str) else value
     kind = "age" if isinstance(text, str) and re.search(r"\d\s*[Mk]a$", text) else "time"
-    return parse(text, kind)
+    mark = parse(text, kind)
+    if abs(mark.si) > LONGEST:
+        raise ValueError(f"{quoted(mark.text)} is beyond {show(LONGEST, 'time')}")
+    return mark
 
 
 def is_age(mark):
@@ -144,10 +151,10 @@ class WallEntry(Entry):
 
 def read_wall(value):
     """Return a wall from a word, or from {velocity: [..]} or {traction: [..]}."""
-    kinds = ("no-slip", "free-slip", "free")
+    kinds = ("no-slip", "free-slip")
     groups = "{velocity: [10 mm/yr, free]} and {traction: [0 MPa, -5 MPa]}"
     if isinstance(value, str):
-        if value not in kinds:
+        if value not in (*kinds, "free"):  # which _cross_faults refuses with more to say
             near = hint(value, kinds)
             raise ValueError(f"{quoted(value)} is no kind of wall{near}, and {groups}")
         return WallEntry(kind=value)
@@ -160,6 +167,9 @@ def read_wall(value):
         raise ValueError(f"{kind} takes a value along x and one along z, such as {groups}")
     unit = "velocity" if kind == "velocity" else "pressure"
     values = tuple(None if entry == "free" else parse(entry, unit) for entry in pair)
+    for found in values:
+        if found and abs(found.si) > HIGHEST[unit]:
+            raise ValueError(f"{quoted(found.text)} is beyond {show(HIGHEST[unit], unit)}")
     if kind == "velocity" and values == (None, None):
         raise ValueError(
             "holds nothing; write {traction: [0 MPa, 0 MPa]} for a wall left to itself"
@@ -169,7 +179,7 @@ def read_wall(value):
 
 Name = Annotated[str, PlainValidator(read_name)]
 Length = quantity("length")
-Size = quantity("length", above=0.0, high=1e8)
+Size = quantity("length", above=0.0, low=1e-3, high=1e8)
 
 
 class Cosine(Entry):
@@ -346,7 +356,7 @@ def read_case(path, overrides=()):
     try:
         case = Case.model_validate(tree.data)
     except ValidationError as error:
-        faults += [_fault(tree, found) for found in error.errors()]
+        faults += _told(tree, error.errors())
     faults += _cross_faults(tree)
     if faults:
         placed = sorted(faults, key=lambda f: (f.line is None, f.line or 0, f.column or 0))
@@ -360,6 +370,26 @@ def _without_echo(fault):
     return replace(fault, entry="") if fault.file == f"--set {fault.entry}" else fault
 
 
+def _told(tree, errors):
+    """Return a fault for every error; a misspelt name is not told as missing too."""
+    meant = {
+        (*error["loc"][:-1], _meant(error["loc"][-1], _names_at(error["loc"][:-1])))
+        for error in errors
+        if error["type"] == "extra_forbidden"
+    }
+    return [
+        _fault(tree, error)
+        for error in errors
+        if error["type"] != "missing" or error["loc"] not in meant
+    ]
+
+
+def _meant(name, known):
+    """Return the entry that a name stands for, or None."""
+    synonym = SYNONYMS.get(nearest(name, SYNONYMS))
+    return nearest(name, known) or (synonym if synonym in known else None)
+
+
 def _fault(tree, found):
     """Return the fault behind one error of pydantic."""
     path = tuple(part for part in found["loc"] if part != "[key]")
@@ -368,8 +398,9 @@ def _fault(tree, found):
         if message := LATER.get(path):
             return tree.fault(path, message, at="key")
         known = _names_at(path[:-1])
-        meant = SYNONYMS.get(path[-1])
-        near = f"; did you mean '{meant}'?" if meant in known else hint(path[-1], known)
+        meant = _meant(path[-1], known)
+        near = f"; did you mean '{meant}'? (possible: {listed(known)})" if meant else ""
+        near = near or hint(path[-1], known)
         return tree.fault(path, f"no such entry{near}", at="key")
     if kind == "missing":
         return tree.fault(path, f"is missing{_missing(path)}", at="key")
@@ -377,9 +408,9 @@ def _fault(tree, found):
         return tree.fault(path, str(context["error"]))
     value = quoted(found["input"])
     bounds = {
-        "greater_than": "must be above {gt}",
-        "greater_than_equal": "must not be below {ge}",
-        "less_than_equal": "must not be above {le}",
+        "greater_than": "must be above {gt:g}",
+        "greater_than_equal": "must not be below {ge:g}",
+        "less_than_equal": "must not be above {le:g}",
     }
     if kind in bounds:
         return tree.fault(path, f"{value} {bounds[kind].format(**context)}")
@@ -392,7 +423,10 @@ def _fault(tree, found):
         "model_type": "is not a group of entries",
         "string_type": "is not text",
     }
-    return tree.fault(path, f"{value} {expected.get(kind, found['msg'])}{_group_hint(path, kind)}")
+    told = f"{value} {expected.get(kind, found['msg'])}"
+    if found["input"] is None:
+        told = "is empty; fill it in or remove it"
+    return tree.fault(path, f"{told}{_group_hint(path, kind)}")
 
 
 def _model_at(path):
@@ -440,7 +474,8 @@ def _missing(path):
         ("time",): "; give marks, such as time: {marks: [0 Myr, 6 Myr, 0 Myr]}",
         ("time", "marks"): "; such as [0 Myr, 6 Myr, 0 Myr], or ages [0 Ma, 2 Ma] to restore",
     }
-    kind = {"density": "density", "viscosity": "viscosity", "width": "length", "height": "length"}
+    kind = dict.fromkeys(("width", "height", "depth", "amplitude", "wavelength"), "length")
+    kind |= {"density": "density", "viscosity": "viscosity"}
     if path in asks:
         return asks[path]
     return f"; {advice(kind[path[-1]])}" if path[-1] in kind else ""
