@@ -11,6 +11,9 @@ from restoration.case import (
     FILE_ENTRIES,
     Case,
     Entry,
+    Layer,
+    Particles,
+    Time,
     WallEntry,
     is_age,
     read_case,
@@ -39,6 +42,8 @@ from restoration.words import hint, listed
 SCALES = {"m": 1.0, "km": 1e3}
 SIGNS = {"up": 1.0, "down": -1.0}
 HORIZON_POINTS = 401
+WAVE_POINTS = 40  # of a horizon, in one wave
+MOST_POINTS = 8000
 MOST_CELLS = 1_000_000  # triangles; about 4.5 unknowns and 20 kB of memory each
 MOST_PARTICLES = 20_000_000
 
@@ -106,7 +111,7 @@ def load(path, overrides=(), allow_outside=False):
         used, [used.index(rock) for rock in shape.rocks], [case.rocks[name].color for name in used]
     )
     scene = Scene(
-        title=case.title or (path.parent.name if path.stem == "case" else path.stem),
+        title=case.title or _title(path),
         outline=shape.outline,
         rocks=tuple(
             Rock(name, case.rocks[name].density.si, case.rocks[name].viscosity.si, color)
@@ -153,6 +158,11 @@ def load_scene(path, overrides=(), allow_outside=False):
     return loaded.case, loaded.scene
 
 
+def _title(path):
+    """Return the title of a case without one: the name of its folder or its file."""
+    return path.absolute().parent.name if path.stem == "case" else path.stem
+
+
 def resolved_yaml(case, scene, digest=None):
     """Return the case with every default written out, as YAML that is a case again.
 
@@ -170,6 +180,11 @@ def resolved_yaml(case, scene, digest=None):
     entries["mesh"]["cells"] = list(scene.cells)
     entries["particles"]["per_cell"] = scene.particles.per_cell
     entries["time"] |= {"courant": scene.time.courant, "min_steps": scene.time.min_steps}
+    for name, model in (("particles", Particles), ("time", Time)):
+        entries[name] = _in_order(entries[name], model)
+    layers = entries["section"].get("layers", [])
+    for i, unit in enumerate(scene.units[: len(layers)]):
+        layers[i] = _in_order(layers[i] | {"name": unit.name}, Layer)
     for rock in scene.rocks:
         entries["rocks"][rock.name]["color"] = rock.color
     stream = io.StringIO()
@@ -177,8 +192,13 @@ def resolved_yaml(case, scene, digest=None):
         stream.write(f"# sha256 of the section file: {digest}\n")
     yaml = YAML(typ="safe", pure=True)
     yaml.default_flow_style, yaml.width, yaml.sort_base_mapping_type_on_output = None, 100, False
-    yaml.dump({name: entries[name] for name in Case.model_fields if name in entries}, stream)
+    yaml.dump(_in_order(entries, Case), stream)
     return stream.getvalue()
+
+
+def _in_order(entries, model):
+    """Return entries in the order of their model, so that equal cases are equal text."""
+    return {name: entries[name] for name in model.model_fields if name in entries}
 
 
 def _plain(value):
@@ -219,19 +239,35 @@ def _from_layers(case, tree):
     """Return the shape of box and layers."""
     section = case.section
     width, height = section.box.width.si, section.box.height.si
-    x = np.linspace(0, width, HORIZON_POINTS)
+    waves = [layer.top.cosine.wavelength.si for layer in section.layers[:-1] if layer.top.cosine]
+    count = HORIZON_POINTS
+    if waves:
+        count = max(count, 1 + min(MOST_POINTS, round(WAVE_POINTS * width / min(waves))))
+    x = np.linspace(0, width, count)
     below, tops, faults = np.full_like(x, -height), [], []
     for i, layer in enumerate(section.layers[:-1]):
         top = _top(layer.top)
         z = top(x)
         at = ("section", "layers", i, "top")
+        if layer.top.cosine and layer.top.cosine.wavelength.si * MOST_POINTS < WAVE_POINTS * width:
+            most = f"{MOST_POINTS // WAVE_POINTS} waves along the section are the most possible"
+            message = f"'{layer.top.cosine.wavelength.text}' is too short; {most}"
+            faults.append(tree.fault((*at, "cosine", "wavelength"), message))
+            continue
         for wrong, what in (
-            (z <= below, "is not above the layer below" if i else "is not above the base"),
+            (z <= below, "is not above the layer before it" if i else "is not above the base"),
             (z >= 0, "is not below the surface"),
         ):
             if wrong.any():
                 where = show(float(x[wrong.argmax()]), "length")
-                faults.append(tree.fault(at, f"the top of '{layer.rock}' {what} at x = {where}"))
+                faults.append(
+                    tree.fault(
+                        at,
+                        f"the top of '{layer.name or layer.rock}' {what} at x = {where}, "
+                        f"z = {show(float(z[wrong.argmax()]), 'length')}; tops are given from the "
+                        "base up and may not touch",
+                    )
+                )
                 break
         below = z
         tops.append(top)
