@@ -7,6 +7,7 @@ import numpy as np
 from restoration.advection import STOKES_SOLVES
 from restoration.plan import active, time_label, unknowns
 from restoration.scene import WALLS
+from restoration.seeding import count_points
 from restoration.units import show
 
 # Memory of a run: a base, MB, and bytes for each unknown and each particle.
@@ -21,7 +22,7 @@ def describe(loaded):
     """
     scene = loaded.scene
     triangles, count = unknowns(scene.cells)
-    particles = _particles(scene, triangles)
+    particles = count_points(scene) if scene.cloud is None else len(scene.cloud.x)
     spans = [b - a for a, b in pairwise(scene.time.marks)]
     steps = scene.time.min_steps * len(spans)
     return {
@@ -47,7 +48,7 @@ def describe(loaded):
         "scheme": scene.time.scheme,
         "cells": triangles,
         "unknowns": count,
-        "particles_about": particles,
+        "particles": particles,
         "memory_mb_about": round(BASE_MB + (count * PER_UNKNOWN + particles * PER_PARTICLE) / 1e6),
         "steps_at_least": steps,
         "stokes_solves_at_least": steps * STOKES_SOLVES[scene.time.scheme] + 1,
@@ -88,7 +89,7 @@ def describe_text(loaded):
     lines += [
         f"mesh       {across} x {up} squares, {about['cells']} triangles, "
         f"{about['unknowns']} unknowns",
-        f"particles  about {about['particles_about']}",
+        f"particles  {about['particles']}",
         f"work       at least {about['steps_at_least']} steps and "
         f"{about['stokes_solves_at_least']} Stokes solves; more where the flow is fast "
         f"(courant {scene.time.courant:g})",
@@ -111,16 +112,6 @@ def _lines(scene):
         row["length_m"] += float(np.linalg.norm(np.diff(line.points, axis=0), axis=1).sum())
         row["pieces"] += 1
     return list(rows.values())
-
-
-def _particles(scene, triangles):
-    """Return about how many particles there will be."""
-    if scene.cloud is not None:
-        return len(scene.cloud.x)
-    reach = max(scene.outline.width / scene.cells[0], scene.outline.height / scene.cells[1])
-    length = sum(row["length_m"] for row in _lines(scene))
-    dense = min(1.0, 2 * reach * length / scene.outline.area)
-    return round(triangles * scene.particles.per_cell * (1 + dense * (scene.particles.densify - 1)))
 
 
 def _wall_text(wall):

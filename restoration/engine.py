@@ -18,7 +18,6 @@ from restoration.particles import (
     CellIndex,
     empty_cells,
     fill_cells,
-    from_cloud,
     relocate,
     seed,
 )
@@ -95,15 +94,8 @@ class StokesEngine:
 
     def start(self):
         """Return the state at the first mark."""
-        scene = self.scene
-        if scene.cloud is not None:
-            particles = from_cloud(scene.cloud, scene.outline)
-        else:
-            particles = seed(
-                scene.outline, scene.cells, scene.lines, scene.particles, scene.unit_at
-            )
-        particles = self._settled(relocate(particles, self.index))
-        return State(scene.time.marks[0], particles, scene.lines)
+        particles = self._settled(relocate(seed(self.scene), self.index))
+        return State(self.scene.time.marks[0], particles, self.scene.lines)
 
     def with_flow(self, state):
         """Return the state with its flow solved for."""

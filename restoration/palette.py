@@ -1,6 +1,7 @@
 """Colours of rocks and units: the field's habits first, then a palette, shades within a rock."""
 
 import colorsys
+from math import gcd
 
 # A word in the name of a rock, and its colour.
 HABITS = {
@@ -54,11 +55,16 @@ def unit_colors(rocks, rock_of_unit, given):
     of_units = []
     for unit, rock in enumerate(rock_of_unit):
         family = [other for other, r in enumerate(rock_of_unit) if r == rock]
-        place = family.index(unit) / (len(family) - 1) - 0.5 if len(family) > 1 else 0.0
-        # Neighbours in the column should differ: light and dark alternate about the rock's own.
-        wave = 0.25 * (-1) ** family.index(unit) if len(family) > 2 else 0.0
-        of_units.append(_shade(of_rocks[rock], SPREAD * (place * 0.6 + wave)))
+        of_units.append(_shade(of_rocks[rock], SPREAD * _step(family.index(unit), len(family))))
     return of_rocks, of_units
+
+
+def _step(place, count):
+    """Return a lightness from -0.5 to 0.5, each once, far apart for neighbours in the column."""
+    if count == 1:
+        return 0.0
+    stride = next(k for k in range(max(2, round(0.4 * count)), count + 2) if gcd(k, count) == 1)
+    return (place * stride % count) / (count - 1) - 0.5
 
 
 def _habit(name):

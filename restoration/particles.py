@@ -7,6 +7,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from restoration.errors import ParticleError
+from restoration.seeding import seed_points
 
 OUTSIDE = -1
 # Barycentric slack of a point on a facet; far above rounding, far below any visible distance.
@@ -125,76 +126,20 @@ def _walk(x, start, corners, neighbours):
     return cell, weights
 
 
-def seed(outline, cells, lines, plan, unit_at):
-    """Seed particles on a lattice that is denser near the lines.
-
-    The lattice follows the columns of the outline. A lattice square within one mesh cell of a line
-    holds ``densify`` particles of low discrepancy instead of one (paper, sect. 3.4), each
-    standing for its share of the square.
+def seed(scene):
+    """Return the particles of a scene, that no cell holds yet (see `relocate`).
 
     Args:
-        outline: `scene.Outline`.
-        cells: mesh columns and rows.
-        lines: `scene.Line`s to densify around.
-        plan: `scene.ParticlePlan`.
-        unit_at: maps points (n, 2), m, to rows of the unit table.
-
-    Returns:
-        `Particles` that no cell holds yet (see `relocate`).
+        scene: `scene.Scene`; a cloud of its own is taken as it is, each particle standing for the
+            same area.
     """
-    rng = np.random.default_rng(plan.seed)
-    count = 4 * cells[0] * cells[1] * plan.per_cell
-    across = max(cells[0], round(np.sqrt(count * outline.width / outline.height)))
-    up = max(cells[1], round(count / across))
-    i, k = (index.ravel() for index in np.meshgrid(np.arange(across), np.arange(up)))
-    centre = np.column_stack([(i + 0.5) / across, (k + 0.5) / up])
-    reach = max(outline.width / cells[0], outline.height / cells[1])
-    dense = _near(_to_section(outline, centre)[0], lines, reach) & (plan.densify > 1)
-    share = np.where(dense, plan.densify, 1)
-    square = np.repeat(np.arange(len(centre)), share)
-    within = np.where(dense[square, None], _r2_sequence(share, square), 0.5)
-    spread = plan.jitter / np.sqrt(share[square])[:, None]
-    within = np.clip(within + spread * (rng.random((len(square), 2)) - 0.5), 0, 1 - 1e-9)
-    fraction = (np.column_stack([i, k])[square] + within) / (across, up)
-    x, height = _to_section(outline, fraction)
-    area = outline.width / across * height / up / share[square]
+    if scene.cloud is not None:
+        x, unit = scene.cloud.x.copy(), scene.cloud.unit
+        area = np.full(len(x), scene.outline.area / len(x))
+    else:
+        x, unit, area = seed_points(scene)
     nowhere = np.full(len(x), OUTSIDE, np.int32)
-    return Particles(x, unit_at(x).astype(np.int16), area, x.copy(), nowhere)
-
-
-def _to_section(outline, fraction):
-    """Return the points at fractions (n, 2) of width and height, and the height there."""
-    x = outline.surface[0, 0] + fraction[:, 0] * outline.width
-    top = np.interp(x, *outline.surface.T)
-    bottom = np.interp(x, *outline.base.T)
-    return np.column_stack([x, bottom + fraction[:, 1] * (top - bottom)]), top - bottom
-
-
-def _near(x, lines, reach):
-    """Return which points lie within ``reach`` of a line."""
-    if not lines:
-        return np.zeros(len(x), bool)
-    points = np.concatenate([spaced(line.points, reach / 4) for line in lines])
-    return cKDTree(points).query(x, distance_upper_bound=reach)[0] < reach
-
-
-def spaced(points, spacing):
-    """Return the vertices of a polyline with more between them, at most ``spacing`` apart."""
-    length = np.r_[0, np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))]
-    s = np.union1d(length, np.linspace(0, length[-1], int(length[-1] / spacing) + 2))
-    return np.column_stack([np.interp(s, length, points[:, 0]), np.interp(s, length, points[:, 1])])
-
-
-def _r2_sequence(share, square):
-    """Return points of low discrepancy in the unit square, numbered from 0 in every square.
-
-    Source: the additive recurrence with the plastic number, the two-dimensional analogue of the
-    golden ratio.
-    """
-    first = np.r_[0, np.cumsum(share)[:-1]]
-    number = np.arange(len(square)) - first[square]
-    plastic = 1.324717957244746
-    return (0.5 + (number[:, None] + 1) * np.array([1 / plastic, 1 / plastic**2])) % 1
+    return Particles(x, unit.astype(np.int16), area, x.copy(), nowhere)
 
 
 def relocate(particles, index, x=None):
@@ -240,16 +185,3 @@ def joined(one, two):
     """Return the particles of two clouds in one, in order."""
     names = Particles.__dataclass_fields__
     return Particles(*(np.concatenate([getattr(one, n), getattr(two, n)]) for n in names))
-
-
-def from_cloud(cloud, outline):
-    """Return the particles of a given cloud, each standing for the same area."""
-    n = len(cloud.x)
-    area = np.full(n, outline.area / n)
-    return Particles(
-        cloud.x.copy(),
-        cloud.unit.astype(np.int16),
-        area,
-        cloud.x.copy(),
-        np.full(n, OUTSIDE, np.int32),
-    )

@@ -32,6 +32,7 @@ ORDER = {
         "environment",
         "advection",
         "plan",
+        "seeding",
         "spaces",
         "particles",
         "transfer",

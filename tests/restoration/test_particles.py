@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.spatial import cKDTree
@@ -10,11 +12,11 @@ from restoration.particles import (
     Particles,
     empty_cells,
     fill_cells,
-    from_cloud,
     relocate,
     seed,
 )
 from restoration.scene import Cloud, Outline, ParticlePlan
+from restoration.seeding import count_points
 
 RELIEF = Outline(
     np.array([[0, 0], [300, 120], [700, -80], [1000, 50.0]]), np.array([[0, -900], [1000, -1000.0]])
@@ -57,41 +59,55 @@ def test_points_on_walls_and_corners_are_inside(index):
     assert (cell != OUTSIDE).all()
 
 
+def seeded(make_scene, **plans):
+    return seed(make_scene(cells=(20, 18), **plans))
+
+
 def test_seeded_particles_fill_the_section_and_stand_for_its_area(make_scene):
-    scene = make_scene()
     plan = ParticlePlan(per_cell=5, densify=10, jitter=0.5, seed=4)
-    particles = seed(RELIEF, (20, 18), scene.lines[:0], plan, lambda p: np.zeros(len(p)))
-    assert len(particles.x) == pytest.approx(5 * 4 * 20 * 18, rel=0.05)
+    particles = seeded(
+        make_scene, outline=RELIEF, particles=plan, unit_at=lambda p: np.zeros(len(p), np.int16)
+    )
+    assert len(particles.x) == pytest.approx(5 * 4 * 20 * 18, rel=0.05)  # one rock: none denser
     assert particles.area.sum() == pytest.approx(RELIEF.area, rel=2e-3)
     assert (np.interp(particles.x[:, 0], *RELIEF.surface.T) >= particles.x[:, 1]).all()
     assert (np.interp(particles.x[:, 0], *RELIEF.base.T) <= particles.x[:, 1]).all()
 
 
-def test_seeding_is_denser_near_horizons_and_repeatable(make_scene):
-    scene = make_scene()
+def test_seeding_is_denser_where_rocks_meet_and_repeatable(make_scene):
     clouds = [
-        seed(scene.outline, (20, 22), scene.lines, ParticlePlan(4, densify, 0.3, 7), scene.unit_at)
-        for densify in (1, 8, 8)
+        seeded(make_scene, particles=ParticlePlan(4, densify, 0.3, 7)) for densify in (1, 8, 8)
     ]
-    near = [
-        cKDTree(cloud.x).query_ball_point([4571, -8000], 300, return_length=True)
-        for cloud in clouds
-    ]
+    near, far = (
+        [cKDTree(c.x).query_ball_point([4571, z], 300, return_length=True) for c in clouds]
+        for z in (-8000, -4000)
+    )
     assert near[1] == pytest.approx(8 * near[0], rel=0.25)
+    assert far[1] == pytest.approx(far[0], rel=0.1)
     assert np.array_equal(clouds[1].x, clouds[2].x)
-    assert clouds[1].area.sum() == pytest.approx(scene.outline.area, rel=1e-12)
+    assert clouds[1].area.sum() == pytest.approx(make_scene().outline.area, rel=1e-12)
+
+
+def test_layers_of_one_rock_are_not_densified(make_scene):
+    scene = make_scene(particles=ParticlePlan(4, 20, 0.3, 7))
+    one = replace(scene, units=tuple(replace(unit, rock=0) for unit in scene.units))
+    assert len(seed(one).x) < 0.6 * len(seed(scene).x)
+
+
+def test_the_number_of_particles_is_known_before(make_scene):
+    scene = make_scene()
+    assert count_points(scene) == len(seed(scene).x)
 
 
 @pytest.mark.parametrize(("jitter", "regular"), [(0.0, True), (1.0, False)])
 def test_regular_or_jittered(make_scene, jitter, regular):
-    outline = make_scene().outline
-    x = seed(outline, (9, 10), (), ParticlePlan(4, 1, jitter, 1), lambda p: np.zeros(len(p))).x
-    assert (len(np.unique(x[:, 0].round(6))) < 50) == regular
+    x = seeded(make_scene, particles=ParticlePlan(4, 1, jitter, 1)).x
+    assert (len(np.unique(x[:, 0].round(6))) < 100) == regular
 
 
 def test_units_follow_the_section(make_scene):
     scene = make_scene()
-    cloud = seed(scene.outline, (12, 13), scene.lines, scene.particles, scene.unit_at)
+    cloud = seed(scene)
     assert np.array_equal(cloud.unit, scene.unit_at(cloud.x))
     salt = cloud.area[cloud.unit == 0].sum()
     assert salt == pytest.approx(9142 * 2000, rel=1e-2)  # the cosine adds nothing to the area
@@ -117,6 +133,7 @@ def test_no_particle_at_all_is_an_error(index):
 
 
 def test_a_cloud_shares_the_area(make_scene):
-    outline = make_scene().outline
-    given = from_cloud(Cloud(np.ones((8, 2)), np.zeros(8, np.int16)), outline)
-    assert given.area.sum() == pytest.approx(outline.area)
+    scene = make_scene(cloud=Cloud(np.ones((8, 2)), np.zeros(8, np.int16)))
+    given = seed(scene)
+    assert len(given.x) == 8
+    assert given.area.sum() == pytest.approx(scene.outline.area)
