@@ -74,6 +74,8 @@ def _habit(name):
 
 def _shade(color, lighter):
     """Return a colour of the same hue that is lighter by a part of the range."""
+    if not lighter:
+        return color
     red, green, blue = (int(color[i : i + 2], 16) / 255 for i in (1, 3, 5))
     hue, light, full = colorsys.rgb_to_hls(red, green, blue)
     light = min(0.92, max(0.18, light + lighter))

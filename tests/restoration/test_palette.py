@@ -1,3 +1,5 @@
+from itertools import pairwise
+
 import pytest
 
 from restoration.palette import unit_colors
@@ -11,7 +13,7 @@ def lightness(color):
 def test_units_of_one_rock_get_shades_of_their_own(count):
     _, units = unit_colors(["sediment"], [0] * count, [None])
     assert len(set(units)) == count
-    steps = [abs(lightness(a) - lightness(b)) for a, b in zip(units, units[1:], strict=False)]
+    steps = [abs(lightness(a) - lightness(b)) for a, b in pairwise(units)]
     assert min(steps) > 0.2 * (max(map(lightness, units)) - min(map(lightness, units))) / 2
 
 
