@@ -77,7 +77,8 @@ def _arranged(drawing, tolerance):
     """Return arrangement, outline (or None) and tolerance; faults go to the drawing."""
     import shapely
 
-    from restoration.arrangement import arrange, frame
+    from restoration.arrangement import arrange
+    from restoration.frame import find_outline
 
     shapes = [patch.shape for patch in drawing.patches]
     low_x, low, high_x, high = shapely.total_bounds(shapes)
@@ -94,7 +95,7 @@ def _arranged(drawing, tolerance):
     if len(pieces) > 1:
         _tell_pieces(drawing, pieces)
         return arrangement, None, tolerance
-    outline, wrong, notes = frame(
+    outline, wrong, notes = find_outline(
         pieces[0], max(tolerance, 10 * arrangement.grid), arrangement.grid
     )
     for message in wrong:
@@ -138,7 +139,7 @@ def _tell_flaws(drawing, arrangement, tolerance):
             message = f"overlap near {flaw.at} ({size}) of {names}: cut one of them there{fill}"
             drawing.refuse(patches[-1].entry, message)
     if len(flaws) > MOST_FLAWS:
-        drawing.refuse("", f"and {counted(len(flaws) - MOST_FLAWS, 'smaller gap or overlap')}")
+        drawing.refuse("", f"and {len(flaws) - MOST_FLAWS} smaller gaps or overlaps")
     if arrangement.closed:
         number_ = len(arrangement.closed)
         total = _area(sum(flaw.shape.area for flaw in arrangement.closed))
