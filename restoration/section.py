@@ -15,7 +15,7 @@ from restoration.words import counted, listed, quoted
 
 TOLERANCE = 1e-3  # of the height: narrower gaps and overlaps are closed
 MOST_FLAWS = 10  # gaps and overlaps that are named one by one
-SMALL = (1000.0, 100.0)  # width and height, m; a section below both may have been drawn in km
+SMALL = 100.0  # m; a section less high, and less than ten times as wide, may be in km
 SEPARATORS = re.compile("[ _-]+")
 GEOGRAPHIC = ("CRS84", "EPSG::4326", "EPSG:4326", "EPSG::4258", "EPSG:4258")
 
@@ -84,7 +84,7 @@ def _arranged(drawing, tolerance):
     low_x, low, high_x, high = shapely.total_bounds(shapes)
     if tolerance is None:
         tolerance = TOLERANCE * (high - low)
-    if high_x - low_x < SMALL[0] and high - low < SMALL[1]:
+    if _small(high_x - low_x, high - low):
         size = f"{number(high_x - low_x)} m wide and {number(high - low)} m high"
         drawing.notes.append(
             f"the section is only {size}; if it is drawn in km, write coordinates: km in 'section'"
@@ -258,6 +258,11 @@ def _degrees(drawing, data, scale):
         )  # fmt: skip
 
 
+def _small(width, height):
+    """Return whether a section is so small, m, that it may have been drawn in km."""
+    return width < 10 * SMALL and height < SMALL
+
+
 def _crs(data):
     """Return the name of the coordinate system a file claims; empty without one."""
     crs = data.get("crs")
@@ -274,8 +279,8 @@ def survey(path, shown):
 
     Returns:
         polygons, fault_lines, vertices (counts); properties {name: values}; extent {x: (low, high),
-        z: (low, high)} as given, or None; crs (or None); property (the one that most likely names
-        the unit, or None), coordinates and vertical: what a case would say; hints and faults, text.
+        z: (low, high)} as given, or None; crs (or None); unit_property (the one that most likely
+        names the unit, or None), coordinates and vertical: what a case would say; hints and faults, text.
 
     Raises:
         CaseError: it is not a GeoJSON FeatureCollection.
@@ -294,7 +299,7 @@ def survey(path, shown):
         west, south, east, north = shapely.total_bounds(shapes).tolist()
         extent = {"x": (west, east), "z": (south, north)}
     if shapes and not degrees:
-        if east - west < SMALL[0] and north - south < SMALL[1]:
+        if _small(east - west, north - south):
             coordinates = "km"
             hints.append(f"{east - west:g} wide and {north - south:g} high: taken as km")
         if south >= 0:
@@ -310,7 +315,7 @@ def survey(path, shown):
         "properties": known,
         "extent": extent,
         "crs": _crs(data) or None,
-        "property": chosen,
+        "unit_property": chosen,
         "coordinates": coordinates,
         "vertical": vertical,
         "hints": list(dict.fromkeys(hints + drawing.notes + _units_alike(drawing))),

@@ -448,7 +448,11 @@ def test_a_survey_tells_what_is_there(read):
     found = read(*drawn, reader=survey)
     assert (found["polygons"], found["fault_lines"], found["faults"]) == (2, 1, [])
     assert found["properties"] == {"unit": ["salt", "sand"], "kind": ["evaporite", "clastic"]}
-    assert (found["property"], found["coordinates"], found["vertical"]) == ("unit", "km", "down")
+    assert (found["unit_property"], found["coordinates"], found["vertical"]) == (
+        "unit",
+        "km",
+        "down",
+    )
     assert found["extent"] == {"x": (0.0, 5.0), "z": (0.0, 2.0)}
     assert len(found["hints"]) == 2
     json.dumps(found, allow_nan=False)
@@ -458,7 +462,7 @@ def test_a_survey_finds_the_property_of_the_unit(read):
     drawn = [
         item | {"properties": {"id": i, "Layer": f"L{i}"}} for i, item in enumerate((SALT, SAND))
     ]
-    assert read(*drawn, reader=survey)["property"] == "Layer"
+    assert read(*drawn, reader=survey)["unit_property"] == "Layer"
 
 
 def test_unit_at_is_fast_enough_for_a_demo(read):
@@ -512,7 +516,7 @@ def test_real_sections(path):
     check_whole(section)
     assert not [note for note in section.notes if "sliver" in note]
     found = survey(path, path.name)
-    assert (found["property"], found["coordinates"], found["vertical"]) == ("unit", "m", "up")
+    assert (found["unit_property"], found["coordinates"], found["vertical"]) == ("unit", "m", "up")
     assert found["faults"] == []
     faults = {line.name for line in section.lines if line.kind == "fault"}
     assert len(faults) == found["fault_lines"]
