@@ -95,7 +95,7 @@ def _bytes(path, shown, longest):
         with open(path, "rb") as file:
             return file.read(longest + 1)
     except FileNotFoundError:
-        raise _fault(shown, f"no such file{_near(path)}") from None
+        raise _fault(shown, f"no such file{near_file(path)}") from None
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or error
         raise _fault(shown, f"cannot be read: {reason}") from None
@@ -106,8 +106,8 @@ def _such(inner, shown):
     return f", such as {shown.rstrip('/')}/case.yaml" if inner.is_file() else ""
 
 
-def _near(path):
-    """Return the hint at a file of nearly this name."""
+def near_file(path):
+    """Return the hint at a file of nearly this name in the same folder, for messages."""
     try:
         names = sorted(os.listdir(path.parent))[:1000]
     except OSError:

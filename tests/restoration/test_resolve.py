@@ -152,7 +152,7 @@ def test_walls(case, entry, velocity, traction):
     ("boundary", "message"),
     [
         (
-            "{base: free-slip, left: {traction: [0 MPa, 0 MPa]}, right: {traction: [0 MPa, 0 MPa]}}",
+            "{base: free-slip, left: {traction: [0 Pa, 0 Pa]}, right: {traction: [0 Pa, 0 Pa]}}",
             "no wall holds the section from moving sideways",
         ),
         (

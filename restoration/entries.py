@@ -1,0 +1,305 @@
+"""The entries of a case file: their kinds, bounds and defaults.
+
+Quantities keep the text the user wrote beside their SI value. All values are frozen.
+"""
+
+import re
+from itertools import pairwise
+from typing import Annotated
+
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, PlainValidator
+
+from restoration.units import UNITS, Quantity, parse, show
+from restoration.words import hint, listed, quoted
+
+# Defaults by accuracy; the measurements behind them are in docs/accuracy.md.
+PRESETS = {
+    "draft": {"cells": 20, "per_cell": 4, "courant": 1.0, "min_steps": 10},
+    "balanced": {"cells": 45, "per_cell": 4, "courant": 0.5, "min_steps": 20},
+    "fine": {"cells": 90, "per_cell": 4, "courant": 0.5, "min_steps": 40},
+}
+LONGEST = 1e4 * UNITS["time"]["Myr"]  # s, of a march
+HIGHEST = {"velocity": 1.0, "pressure": 1e12}  # of walls, SI
+COLOR = re.compile(r"#[0-9a-fA-F]{6}")
+
+
+class Entry(BaseModel):
+    """A group of entries: no others, no conversions, no infinities, no changes."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
+
+
+def quantity(kind, low=None, high=None, above=None):
+    """Return the type of a quantity within bounds, SI."""
+
+    def read(value):
+        found = value if isinstance(value, Quantity) else parse(value, kind)
+        if above is not None and not found.si > above:
+            raise ValueError(f"{quoted(found.text)} must be above {show(above, kind)}")
+        if low is not None and found.si < low:
+            raise ValueError(f"{quoted(found.text)} must not be below {show(low, kind)}")
+        if high is not None and found.si > high:
+            raise ValueError(f"{quoted(found.text)} is above {show(high, kind)}, the most possible")
+        return found
+
+    return Annotated[Quantity, PlainValidator(read)]
+
+
+def words(*known):
+    """Return the type of a word out of a few."""
+
+    def read(value):
+        if not isinstance(value, str) or value not in known:
+            near = hint(value, known) if isinstance(value, str) else f"; possible: {listed(known)}"
+            raise ValueError(f"{quoted(value)} is not possible{near}")
+        return value
+
+    return Annotated[str, PlainValidator(read)]
+
+
+def read_name(value):
+    """Return a name; numbers become text."""
+    if isinstance(value, bool) or not isinstance(value, (str, int)) or not str(value).strip():
+        raise ValueError(f"{quoted(value)} is not a name")
+    return str(value).strip()
+
+
+def read_names(value):
+    """Return a tuple of names from one or a list."""
+    return tuple(read_name(entry) for entry in (value if isinstance(value, list) else [value]))
+
+
+def read_cells(value):
+    """Return the number of squares along the shorter side, or (across, up)."""
+    ask = "write the number of squares along the shorter side, or [across, up]"
+    numbers = value if isinstance(value, list) else [value]
+    if len(numbers) not in (1, 2) or any(type(n) is not int for n in numbers):
+        raise ValueError(f"{quoted(value)}: {ask}")
+    for n in numbers:
+        if not 1 <= n <= 5000:
+            raise ValueError(f"{n} squares are not possible; between 1 and 5000 are")
+    return numbers[0] if len(numbers) == 1 else tuple(numbers)
+
+
+def read_mark(value):
+    """Return a model time as a time or, after today, an age."""
+    text = value.strip() if isinstance(value, str) else value
+    kind = "age" if isinstance(text, str) and re.search(r"\d\s*[Mk]a$", text) else "time"
+    mark = parse(text, kind)
+    if abs(mark.si) > LONGEST:
+        raise ValueError(f"{quoted(mark.text)} is beyond {show(LONGEST, 'time')}")
+    return mark
+
+
+def is_age(mark):
+    """Return whether a mark counts back from today."""
+    return mark.text.endswith("a")
+
+
+def read_marks(value):
+    """Return the marks; each fault names its number in the list."""
+    if not isinstance(value, list):
+        raise ValueError(f"{quoted(value)} is not a list; write marks: [0 Myr, 6 Myr, 0 Myr]")
+    marks = tuple(read_mark(entry) for entry in value)
+    if len(marks) < 2:
+        raise ValueError("a run needs two marks at least, such as [0 Myr, 6 Myr, 0 Myr]")
+    if len({is_age(mark) for mark in marks}) == 2:
+        raise ValueError("ages (Ma) and times (Myr) do not mix; write all marks in one")
+    for before, after in pairwise(marks):
+        if before.si == after.si:
+            raise ValueError(
+                f"the march from {before.text} to {after.text} goes nowhere; give another mark"
+            )
+    return marks
+
+
+class WallEntry(Entry):
+    """One wall: its kind and, for velocity and traction, a value along x and z."""
+
+    kind: str
+    values: tuple[Quantity | None, Quantity | None] | None = None
+
+
+def read_wall(value):
+    """Return a wall from a word, or from {velocity: [..]} or {traction: [..]}."""
+    kinds = ("no-slip", "free-slip")
+    groups = "{velocity: [10 mm/yr, free]} and {traction: [0 MPa, -5 MPa]}"
+    if isinstance(value, str):
+        if value not in (*kinds, "free"):  # which _cross_faults refuses with more to say
+            near = hint(value, kinds)
+            raise ValueError(f"{quoted(value)} is no kind of wall{near}, and {groups}")
+        return WallEntry(kind=value)
+    if not isinstance(value, dict) or len(value) != 1:
+        raise ValueError(f"{quoted(value)} is no kind of wall; possible: {listed(kinds)}; {groups}")
+    ((kind, pair),) = value.items()
+    if kind not in ("velocity", "traction"):
+        raise ValueError(f"'{kind}' is no kind of wall{hint(kind, ('velocity', 'traction'))}")
+    if not isinstance(pair, list) or len(pair) != 2:
+        raise ValueError(f"{kind} takes a value along x and one along z, such as {groups}")
+    unit = "velocity" if kind == "velocity" else "pressure"
+    values = tuple(None if entry == "free" else parse(entry, unit) for entry in pair)
+    for found in values:
+        if found and abs(found.si) > HIGHEST[unit]:
+            raise ValueError(f"{quoted(found.text)} is beyond {show(HIGHEST[unit], unit)}")
+    if kind == "velocity" and values == (None, None):
+        raise ValueError(
+            "holds nothing; write {traction: [0 MPa, 0 MPa]} for a wall left to itself"
+        )
+    return WallEntry(kind=kind, values=values)
+
+
+Name = Annotated[str, PlainValidator(read_name)]
+Length = quantity("length")
+Size = quantity("length", above=0.0, low=1e-3, high=1e8)
+
+
+class Cosine(Entry):
+    """A wave on a horizon: amplitude * cos(2 pi (x - phase) / wavelength), upwards."""
+
+    amplitude: Length
+    wavelength: Size
+    phase: Length = Quantity("0 km", 0.0)
+
+
+class Top(Entry):
+    """The top of a layer."""
+
+    depth: quantity("length", low=0.0)
+    cosine: Cosine | None = None
+
+
+class Layer(Entry):
+    """A layer of a box."""
+
+    rock: Name
+    name: Name | None = None
+    top: Top | None = None
+
+
+class Box(Entry):
+    """A box: x from 0 to width, z from -height to 0."""
+
+    width: Size
+    height: Size
+
+
+class Section(Entry):
+    """Where the section comes from: box and layers, a file of polygons, or particles."""
+
+    box: Box | None = None
+    layers: list[Layer] | None = None
+    file: Name | None = None
+    particles: Name | None = None
+    property: Name = "unit"
+    rock_property: Name | None = None
+    coordinates: words("m", "km") = "m"
+    vertical: words("up", "down") = "up"
+    tolerance: quantity("length", above=0.0) | None = None
+
+
+def read_color(value):
+    """Return a colour ``#rrggbb``."""
+    if not isinstance(value, str) or not COLOR.fullmatch(value):
+        raise ValueError(f'{quoted(value)} is not a colour; write it in quotes, such as "#d8a0c0"')
+    return value.lower()
+
+
+class RockEntry(Entry):
+    """A material, and the units of a section file that are of it."""
+
+    density: quantity("density", low=0.0, high=3e4)
+    viscosity: quantity("viscosity", low=1.0, high=1e30)
+    unit: Annotated[tuple[str, ...], PlainValidator(read_names)] | None = None
+    color: Annotated[str, PlainValidator(read_color)] | None = None
+
+
+Wall = Annotated[WallEntry, PlainValidator(read_wall)]
+
+
+class Boundary(Entry):
+    """The four walls."""
+
+    left: Wall = WallEntry(kind="free-slip")
+    right: Wall = WallEntry(kind="free-slip")
+    base: Wall = WallEntry(kind="no-slip")
+    surface: Wall = WallEntry(kind="free-slip")
+
+
+class Mesh(Entry):
+    """The mesh."""
+
+    cells: Annotated[int | tuple[int, int], PlainValidator(read_cells)] | None = None
+
+
+class Particles(Entry):
+    """The particles."""
+
+    per_cell: Annotated[int, Field(ge=1, le=1000)] | None = None
+    densify: Annotated[int, Field(ge=1, le=1000)] = 5
+    jitter: Annotated[float, Field(ge=0, le=1)] = 0.5
+    seed: Annotated[int, Field(ge=0, le=2**32 - 1)] = 1
+
+
+class Transfer(Entry):
+    """How rock goes from particles to fields."""
+
+    density: words("hat", "quadrature", "cell") = "hat"
+    viscosity: words("hat", "cell") = "hat"
+    mean: words("harmonic", "geometric", "arithmetic") = "harmonic"
+
+
+class Time(Entry):
+    """The march."""
+
+    marks: Annotated[tuple[Quantity, ...], PlainValidator(read_marks)]
+    scheme: words("rk4", "midpoint", "paper", "euler") = "rk4"
+    courant: Annotated[float, Field(gt=0, le=1e3)] | None = None
+    min_steps: Annotated[int, Field(ge=1, le=10**6)] | None = None
+
+
+FIELDS = ("velocity", "pressure", "density", "viscosity", "strain_rate")
+
+
+def read_at(value):
+    """Return ``marks`` or a number of steps."""
+    if value == "marks" or (type(value) is int and value >= 1):
+        return value
+    raise ValueError(f"{quoted(value)} is not possible; write marks, or a number of steps")
+
+
+class Output(Entry):
+    """What is written, and when."""
+
+    at: Annotated[str | int, PlainValidator(read_at)] = "marks"
+    fields: list[words(*FIELDS)] = list(FIELDS)
+    particles: bool = True
+    arrows: bool = False
+    exaggeration: Annotated[float, Field(gt=0, le=100)] = 1.0
+
+
+def not_empty(rocks):
+    """Refuse an empty rock table."""
+    if not rocks:
+        raise ValueError("holds no rock; give each a density and a viscosity")
+    return rocks
+
+
+class Case(Entry):
+    """A case, as written and with its defaults."""
+
+    title: Name | None = None
+    section: Section
+    rocks: Annotated[dict[str, RockEntry], AfterValidator(not_empty)]
+    boundary: Boundary = Boundary()
+    gravity: quantity("acceleration", low=0.0, high=1e3) = Quantity("9.81 m/s^2", 9.81)
+    mesh: Mesh = Mesh()
+    particles: Particles = Particles()
+    transfer: Transfer = Transfer()
+    time: Time
+    accuracy: words(*PRESETS) = "balanced"
+    output: Output = Output()
+
+    def preset(self, group, name):
+        """Return an entry, or what ``accuracy`` makes it."""
+        given = getattr(getattr(self, group), name)
+        return PRESETS[self.accuracy][name] if given is None else given

@@ -1,0 +1,222 @@
+"""Where the rock is: a box of layers, a file of polygons, or a cloud of particles."""
+
+import hashlib
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from restoration.errors import CaseError
+from restoration.files import inside, near_file
+from restoration.scene import Cloud, Line, Outline
+from restoration.units import show
+from restoration.words import hint, listed
+
+SCALES = {"m": 1.0, "km": 1e3}
+SIGNS = {"up": 1.0, "down": -1.0}
+HORIZON_POINTS = 401
+WAVE_POINTS = 40  # of a horizon, in one wave
+MOST_POINTS = 8000
+
+
+@dataclass(frozen=True, eq=False)
+class Shape:
+    """Where the rock is, from whichever source."""
+
+    outline: Outline
+    names: tuple[str, ...]
+    rocks: tuple[str, ...]  # name of the rock of every unit
+    unit_at: object
+    lines: tuple[Line, ...]
+    notes: tuple[str, ...] = ()
+    cloud: Cloud | None = None
+
+
+def find_source(case, path, tree, allow_outside):
+    """Return the path of the section file and its sha256, or two Nones for layers."""
+    section = case.section
+    name = section.file or section.particles
+    if name is None:
+        return None, None
+    at = ("section", "file" if section.file else "particles")
+    try:
+        source = inside(path.parent, name, allow_outside)
+    except ValueError as error:
+        raise CaseError([tree.fault(at, str(error))]) from None
+    if not source.is_file():  # nor a folder, a pipe or a device, which may never end
+        message = f"there is no file '{name}' beside the case{near_file(source)}"
+        raise CaseError([tree.fault(at, message)])
+    try:
+        with open(source, "rb") as file:
+            return source, hashlib.file_digest(file, "sha256").hexdigest()
+    except OSError as error:
+        raise CaseError([tree.fault(at, f"'{name}' cannot be read: {error.strerror}")]) from None
+
+
+def from_layers(case, tree):
+    """Return the shape of box and layers."""
+    section = case.section
+    width, height = section.box.width.si, section.box.height.si
+    waves = [layer.top.cosine.wavelength.si for layer in section.layers[:-1] if layer.top.cosine]
+    count = HORIZON_POINTS
+    if waves:
+        count = max(count, 1 + min(MOST_POINTS, round(WAVE_POINTS * width / min(waves))))
+    x = np.linspace(0, width, count)
+    below, tops, faults = np.full_like(x, -height), [], []
+    for i, layer in enumerate(section.layers[:-1]):
+        top = _top(layer.top)
+        z = top(x)
+        at = ("section", "layers", i, "top")
+        if layer.top.cosine and layer.top.cosine.wavelength.si * MOST_POINTS < WAVE_POINTS * width:
+            most = f"{MOST_POINTS // WAVE_POINTS} waves along the section are the most possible"
+            message = f"'{layer.top.cosine.wavelength.text}' is too short; {most}"
+            faults.append(tree.fault((*at, "cosine", "wavelength"), message))
+            continue
+        for wrong, what in (
+            (z <= below, "is not above the layer before it" if i else "is not above the base"),
+            (z >= 0, "is not below the surface"),
+        ):
+            if wrong.any():
+                where = show(float(x[wrong.argmax()]), "length")
+                faults.append(
+                    tree.fault(
+                        at,
+                        f"the top of '{layer.name or layer.rock}' {what} at x = {where}, "
+                        f"z = {show(float(z[wrong.argmax()]), 'length')}; tops are given from the "
+                        "base up and may not touch",
+                    )
+                )
+                break
+        below = z
+        tops.append(top)
+    if faults:
+        raise CaseError(faults)
+    names = _layer_names(section.layers)
+    lines = tuple(
+        Line(f"{lower} / {upper}", "horizon", np.column_stack([x, top(x)]))
+        for lower, upper, top in zip(names, names[1:], tops, strict=False)
+    )
+
+    def unit_at(points):
+        above = [points[:, 1] > top(points[:, 0]) for top in tops]
+        return np.sum(above, axis=0, dtype=np.int16) if above else np.zeros(len(points), np.int16)
+
+    outline = Outline(
+        np.array([[0.0, 0.0], [width, 0.0]]), np.array([[0.0, -height], [width, -height]])
+    )
+    return Shape(outline, names, tuple(layer.rock for layer in section.layers), unit_at, lines)
+
+
+def _top(entry):
+    """Return the height of a horizon as a function of x, m."""
+    depth, wave = entry.depth.si, entry.cosine
+    if wave is None:
+        return lambda x: np.full_like(x, -depth)
+    k = 2 * np.pi / wave.wavelength.si
+    return lambda x: -depth + wave.amplitude.si * np.cos(k * (x - wave.phase.si))
+
+
+def _layer_names(layers):
+    """Return the names of layers: their own or their rock's, numbered where one comes again."""
+    names = [layer.name or layer.rock for layer in layers]
+    return tuple(
+        f"{name} {names[: i + 1].count(name)}" if names.count(name) > 1 else name
+        for i, name in enumerate(names)
+    )
+
+
+def from_file(case, source, tree):
+    """Return the shape of a file of polygons or of particles."""
+    section = case.section
+    settings = (SCALES[section.coordinates], SIGNS[section.vertical])
+    if section.particles:
+        from restoration.cloud import read_cloud
+
+        return _from_cloud(case, read_cloud(source, section.particles, *settings), tree)
+    from restoration.section import read_section
+
+    found = read_section(
+        source,
+        section.file,
+        section.property,
+        *settings,
+        tolerance=section.tolerance.si if section.tolerance else None,
+        rock_property=section.rock_property,
+    )
+    rocks = _rocks_of_units(case, found.units, found.keys, tree, source)
+    return Shape(found.outline, found.units, rocks, found.unit_at, found.lines, found.notes)
+
+
+def _rocks_of_units(case, units, keys, tree, source):
+    """Return the name of the rock of every unit of a section file.
+
+    A unit is of the rock that names it in ``unit``, or whose own name is the unit's, or that
+    names (or is named like) the value of ``rock_property``.
+    """
+    chosen = {}
+    for name, rock in case.rocks.items():
+        for unit in rock.unit or (name,):
+            chosen.setdefault(unit, []).append(name)
+    result, faults, missing = [], [], []
+    for unit in units:
+        found = chosen.get(unit) or [
+            rock for key in keys.get(unit, ()) for rock in chosen.get(key, ())
+        ]
+        if len(set(found)) > 1:
+            message = f"unit '{unit}' is claimed by {listed(sorted(set(found)), last='and')}"
+            faults.append(tree.fault(("rocks",), f"{message}; one rock only"))
+        elif not found:
+            missing.append(unit)
+        result.append(found[0] if found else None)
+    if missing:
+        what = f"{source.name} has units without a rock: {listed(missing, last='and')}"
+        ask = f"add 'unit: [{', '.join(missing[:3])}{', ..' if missing[3:] else ''}]' to their rock"
+        near = hint(missing[0], case.rocks) if len(missing) == 1 else ""
+        faults.append(tree.fault(("rocks",), f"{what}; {ask}{near}"))
+    known = {*units, *(key for values in keys.values() for key in values)}
+    for name, rock in case.rocks.items():
+        for unit in rock.unit or ():
+            if unit not in known:
+                message = f"{source.name} has no unit '{unit}'{hint(unit, sorted(known))}"
+                faults.append(tree.fault(("rocks", name, "unit"), message))
+    if faults:
+        raise CaseError(faults)
+    return tuple(result)
+
+
+def _from_cloud(case, cloud, tree):
+    """Return the shape of a saved cloud, a tuple of positions, rows and unit names."""
+    from scipy.spatial import cKDTree
+
+    x, unit, names = cloud
+    width, height = case.section.box.width.si, case.section.box.height.si
+    low, high = np.array([0.0, -height]), np.array([width, 0.0])
+    slack = 1e-9 * max(width, height)
+    outside = np.any((x < low - slack) | (x > high + slack), axis=1)
+    if outside.any():
+        first = x[outside.argmax()]
+        raise CaseError(
+            [
+                tree.fault(
+                    ("section", "particles"),
+                    f"{outside.sum()} of {len(x)} particles are outside the box (x from 0 to "
+                    f"{show(width, 'length')}, z from {show(-height, 'length')} to 0), the first "
+                    f"at x = {show(first[0], 'length')}, z = {show(first[1], 'length')}",
+                )
+            ]
+        )
+    rocks = _rocks_of_units(case, names, {}, tree, Path(case.section.particles))
+    x = np.clip(x, low, high)
+    nearest = cKDTree(x)
+    outline = Outline(
+        np.array([[0.0, 0.0], [width, 0.0]]), np.array([[0.0, -height], [width, -height]])
+    )
+    return Shape(
+        outline,
+        names,
+        rocks,
+        lambda points: unit[nearest.query(points)[1]],
+        (),
+        ("a cloud of particles brings no horizons; none are followed",),
+        Cloud(x, unit),
+    )
