@@ -139,7 +139,9 @@ def article(kind):
 
 def advice(kind):
     """Return what to write for a quantity of this kind."""
-    return f"write a number and one of {listed(UNITS[kind])}, such as {EXAMPLES[kind]}"
+    units = listed(UNITS[kind])
+    units = f"one of {units}" if len(UNITS[kind]) > 1 else units
+    return f"write a number and {units}, such as {EXAMPLES[kind]}"
 
 
 def _plain(unit):

@@ -63,7 +63,7 @@ def test_decimals_arrive_unchanged():
 @pytest.mark.parametrize(
     ("text", "kind", "message"),
     [
-        ("1e21", "viscosity", "has no unit; write a number and one of Pa s, such as 1e19 Pa s"),
+        ("1e21", "viscosity", "has no unit; write a number and Pa s, such as 1e19 Pa s"),
         (2600, "density", "'2600' has no unit"),
         ("1e18 Pas", "viscosity", "'Pas' is no unit of viscosity; did you mean 'Pa s'"),
         ("5 km", "time", "is a length, not a time; write a number and one of Myr, kyr, yr or s"),
