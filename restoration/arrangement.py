@@ -11,7 +11,10 @@ import numpy as np
 import shapely
 
 from restoration.geojson import place
+from restoration.units import number
+from restoration.words import counted, listed, quoted
 
+MOST_FLAWS = 10  # gaps and overlaps that are named one by one
 FINEST = 1e-6  # grid on which boundaries meet, part of the height
 
 
@@ -234,3 +237,66 @@ class UnitAt:
         result = np.empty_like(found)
         result[order] = found
         return result
+
+
+def tell_flaws(drawing, arrangement, tolerance):
+    """Take down gaps and overlaps in a `Drawing`, the greatest first, and the slivers closed."""
+    told = 0
+    for flaw in arrangement.flaws:
+        patches = [drawing.patches[row] for row in flaw.patches]
+        if not flaw.gap and len({patch.unit for patch in patches}) == 1:
+            names = listed([patch.entry for patch in patches], "and")
+            unit = quoted(patches[0].unit)
+            drawing.notes.append(f"{names} overlap near {flaw.at}; both are {unit}")
+            continue
+        told += 1
+        if told <= MOST_FLAWS:
+            drawing.refuse(*_flaw_message(drawing, flaw, patches, tolerance))
+    if told > MOST_FLAWS:
+        more = told - MOST_FLAWS
+        what = "gap or overlap" if more == 1 else "gaps or overlaps"
+        drawing.refuse("", f"and {more} smaller {what}")
+    if arrangement.closed:
+        what = f"{counted(len(arrangement.closed), 'sliver')} between polygons"
+        total = area_text(sum(flaw.shape.area for flaw in arrangement.closed))
+        narrow = f"narrower than {number(tolerance, 2)} m"
+        drawing.notes.append(f"{what}, {narrow}, closed ({total})")
+
+
+def _flaw_message(drawing, flaw, patches, tolerance):
+    """Return the entry and the message of a gap or an overlap."""
+    if flaw.gap:
+        patches = [patch for patch in drawing.patches if patch.shape.dwithin(flaw.shape, tolerance)]
+    named = [f"{patch.entry} {quoted(patch.unit)}" for patch in patches]
+    width = f"{number(flaw.width, 2)} m"
+    size = f"near {flaw.at} ({area_text(flaw.shape.area)}, up to {width} wide)"
+    enough = number(1.1 * flaw.width, 2)
+    fill = f" (tolerance: {enough} m would close it)" if flaw.width < 20 * tolerance else ""
+    if flaw.gap and len(patches) > 1:
+        return "", f"gap {size} between {listed(named, 'and')}: extend one of them over it{fill}"
+    if flaw.gap:
+        return "", f"gap {size} in {listed(named)}: draw a polygon that fills it{fill}"
+    if patches[0].shape.equals(patches[1].shape):
+        message = f"{quoted(patches[1].unit)} is the same polygon as {named[0]}: delete one of them"
+        return patches[1].entry, message
+    message = f"overlap {size} of {listed(named, 'and')}: cut one of them there{fill}"
+    return patches[-1].entry, message
+
+
+def tell_pieces(drawing, pieces):
+    """Take down in a `Drawing` that its polygons, in several pieces, make no single section."""
+    pieces = sorted(pieces, key=lambda piece: -piece.area)
+    for piece in pieces[1 : MOST_FLAWS + 1]:
+        off = min(piece.distance(other) for other in pieces if other is not piece)
+        away = f"{number(off, 2)} m from the rest" if off else "touching the rest at a point only"
+        near = place(piece.representative_point().coords[0])
+        drawing.refuse(
+            "",
+            f"is not in one piece: {area_text(piece.area)} near {near} lie apart, {away}; fill "
+            "the space between with polygons, or keep one section in a file",
+        )
+
+
+def area_text(area):
+    """Return an area, m^2, as messages give it."""
+    return f"{number(area / 1e6)} km^2" if area >= 1e4 else f"{number(area)} m^2"

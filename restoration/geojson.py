@@ -44,6 +44,8 @@ class Drawing:
         faults: (name, points (n, 2), m) of the fault lines.
         notes: remarks for the user.
         problems: a `Fault` for everything that is wrong.
+        vertices: their number, all polygons and lines together.
+        flattened: whether third coordinates were left out.
     """
 
     shown: str
@@ -51,6 +53,8 @@ class Drawing:
     faults: list = field(default_factory=list)
     notes: list = field(default_factory=list)
     problems: list = field(default_factory=list)
+    vertices: int = 0
+    flattened: bool = False
 
     def refuse(self, entry, message):
         """Take down a fault."""
@@ -133,35 +137,27 @@ def read_drawing(data, shown, unit_property, rock_property=None, scale=1.0, sign
     """
     drawing = Drawing(shown)
     known = properties(data)
-    vertices = dropped = 0
     for number, feature in enumerate(data["features"]):
         entry = f"features[{number}]"
         kind, values, parts = _feature(drawing, entry, feature)
         if kind is None:
             continue
         area = kind.endswith("Polygon")
-        rings = [ring for part in parts for ring in part] if area else parts
-        points = {}
-        for ring in rings:
-            points[id(ring)], third = _points(drawing, entry, ring, scale, sign)
-            if points[id(ring)] is None:
-                break
-            dropped += third
-            vertices += len(ring)
-        if vertices > MOST_VERTICES:
+        parts = _all_points(drawing, entry, parts if area else [parts], scale, sign)
+        if drawing.vertices > MOST_VERTICES:
             raise _refused(shown, f"has more than {MOST_VERTICES:,} vertices; simplify the lines")
-        if any(points.get(id(ring)) is None for ring in rings):
+        if parts is None:
             continue
         if not area:
             name = _text(values.get("name") or values.get(unit_property)) or f"fault {number}"
-            drawing.faults += [(name, points[id(ring)]) for ring in rings if len(ring) > 1]
+            drawing.faults += [(name, line) for line in parts[0] if len(line) > 1]
             continue
         unit = entry if unit_property is None else _unit(drawing, entry, values, unit_property)
-        for part in parts:
-            shape = _shape(drawing, entry, unit, [points[id(ring)] for ring in part])
+        for rings in parts:
+            shape = _shape(drawing, entry, unit, rings)
             if shape is not None and unit is not None:
                 drawing.patches.append(Patch(entry, unit, _text(values.get(rock_property)), shape))
-    if dropped:
+    if drawing.flattened:
         drawing.notes.append("the coordinates have a third value; it is not used")
     _judge(drawing, known, unit_property, rock_property)
     return drawing
@@ -230,18 +226,32 @@ def _feature(drawing, entry, feature):
     return kind, values, parts
 
 
+def _all_points(drawing, entry, parts, scale, sign):
+    """Return the points of all rings or lines of a feature, part by part; None where one is bad."""
+    result = []
+    for part in parts:
+        result.append([])
+        for ring in part:
+            points = _points(drawing, entry, ring, scale, sign)
+            if points is None:
+                return None
+            drawing.vertices += len(points)
+            result[-1].append(points)
+    return result
+
+
 def _points(drawing, entry, ring, scale, sign):
-    """Return the points of a ring or line, (n, 2) in m or None, and if a third value was cut."""
+    """Return the points of a ring or line, shape (n, 2), m; None where they are bad."""
     wrong = "a position" if isinstance(ring, list) else "a list of positions"
     if not isinstance(ring, list) or not all(
         isinstance(point, list) and len(point) > 1 for point in ring
     ):
         drawing.refuse(entry, f"holds something that is not {wrong} [x, z]; {EXPORT}")
-        return None, False
+        return None
     for value in (value for point in ring for value in point[:2]):
         if type(value) not in (int, float):
             drawing.refuse(entry, f"holds {quoted(value)} as a coordinate; correct that vertex")
-            return None, False
+            return None
     try:
         points = np.array([point[:2] for point in ring], dtype=float).reshape(-1, 2)
     except OverflowError:
@@ -252,8 +262,9 @@ def _points(drawing, entry, ring, scale, sign):
         drawing.refuse(
             entry, f"holds a coordinate beyond 1e9 m; correct {vertex} of a ring or line"
         )
-        return None, False
-    return points * [scale, scale * sign] + 0.0, any(len(point) > 2 for point in ring)
+        return None
+    drawing.flattened |= any(len(point) > 2 for point in ring)
+    return points * [scale, scale * sign] + 0.0
 
 
 def _unit(drawing, entry, values, name):

@@ -7,14 +7,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from restoration.errors import CaseError
-from restoration.geojson import place, properties, read_collection, read_drawing
+from restoration.geojson import properties, read_collection, read_drawing
 from restoration.scene import Line, Outline
 from restoration.tree import shortened
 from restoration.units import number
-from restoration.words import counted, listed, quoted
+from restoration.words import listed, quoted
 
 TOLERANCE = 1e-3  # of the height: narrower gaps and overlaps are closed
-MOST_FLAWS = 10  # gaps and overlaps that are named one by one
+MOST_ALIKE = 10  # notes on units of like names
 SMALL = 100.0  # m; a section less high, and less than ten times as wide, may be in km
 SEPARATORS = re.compile("[ _-]+")
 GEOGRAPHIC = ("CRS84", "EPSG::4326", "EPSG:4326", "EPSG::4258", "EPSG:4258")
@@ -77,7 +77,7 @@ def _arranged(drawing, tolerance):
     """Return arrangement, outline (or None) and tolerance; faults go to the drawing."""
     import shapely
 
-    from restoration.arrangement import arrange
+    from restoration.arrangement import arrange, tell_flaws, tell_pieces
     from restoration.frame import find_outline
 
     shapes = [patch.shape for patch in drawing.patches]
@@ -90,10 +90,10 @@ def _arranged(drawing, tolerance):
             f"the section is only {size}; if it is drawn in km, write coordinates: km in 'section'"
         )
     arrangement = arrange(shapes, tolerance)
-    _tell_flaws(drawing, arrangement, tolerance)
+    tell_flaws(drawing, arrangement, tolerance)
     pieces = shapely.get_parts(arrangement.whole)
     if len(pieces) > 1:
-        _tell_pieces(drawing, pieces)
+        tell_pieces(drawing, pieces)
         return arrangement, None, tolerance
     outline, wrong, notes = find_outline(
         pieces[0], max(tolerance, 10 * arrangement.grid), arrangement.grid
@@ -102,69 +102,6 @@ def _arranged(drawing, tolerance):
         drawing.refuse("", message)
     drawing.notes += notes
     return arrangement, outline, tolerance
-
-
-def _tell_flaws(drawing, arrangement, tolerance):
-    """Take down the gaps and overlaps, the greatest first, and the slivers that were closed."""
-    flaws = []
-    for flaw in arrangement.flaws:
-        patches = [drawing.patches[row] for row in flaw.patches]
-        if flaw.gap or len({patch.unit for patch in patches}) > 1:
-            flaws.append((flaw, patches))
-        else:
-            names = listed([patch.entry for patch in patches], "and")
-            drawing.notes.append(
-                f"{names} overlap near {flaw.at}; both are {quoted(patches[0].unit)}"
-            )
-    for flaw, patches in flaws[:MOST_FLAWS]:
-        if flaw.gap:
-            patches = [
-                patch for patch in drawing.patches if patch.shape.dwithin(flaw.shape, tolerance)
-            ]
-        names = listed([f"{patch.entry} {quoted(patch.unit)}" for patch in patches], "and")
-        size = f"{_area(flaw.shape.area)}, up to {number(flaw.width, 2)} m wide"
-        fill = f"a tolerance above {number(flaw.width, 2)} m closes it"
-        fill = f" ({fill})" if flaw.width < 20 * tolerance else ""
-        if flaw.gap:
-            todo = f"between {names}: extend one of them over it"
-            todo = todo if len(patches) > 1 else f"in {names}: draw a polygon that fills it"
-            drawing.refuse("", f"gap near {flaw.at} ({size}) {todo}{fill}")
-        elif patches[0].shape.equals(patches[1].shape):
-            other = f"{patches[0].entry} {quoted(patches[0].unit)}"
-            message = (
-                f"{quoted(patches[1].unit)} is the same polygon as {other}: delete one of them"
-            )
-            drawing.refuse(patches[1].entry, message)
-        else:
-            message = f"overlap near {flaw.at} ({size}) of {names}: cut one of them there{fill}"
-            drawing.refuse(patches[-1].entry, message)
-    if len(flaws) > MOST_FLAWS:
-        drawing.refuse("", f"and {len(flaws) - MOST_FLAWS} smaller gaps or overlaps")
-    if arrangement.closed:
-        number_ = len(arrangement.closed)
-        total = _area(sum(flaw.shape.area for flaw in arrangement.closed))
-        what = counted(number_, "sliver")
-        drawing.notes.append(
-            f"{what} between polygons, narrower than {number(tolerance, 2)} m, closed ({total})"
-        )
-
-
-def _tell_pieces(drawing, pieces):
-    """Take down a section that is not in one piece."""
-    pieces = sorted(pieces, key=lambda piece: -piece.area)
-    for piece in pieces[1 : MOST_FLAWS + 1]:
-        off = min(piece.distance(other) for other in pieces if other is not piece)
-        away = f"{number(off, 2)} m from the rest" if off else "touching the rest at a point only"
-        near = place(piece.representative_point().coords[0])
-        drawing.refuse(
-            "", f"is not in one piece: {_area(piece.area)} near {near} lie apart, {away}; fill the "
-            "space between with polygons, or keep one section in a file",
-        )  # fmt: skip
-
-
-def _area(area):
-    """Return an area as messages give it."""
-    return f"{number(area / 1e6)} km^2" if area >= 1e4 else f"{number(area)} m^2"
 
 
 def _section(drawing, arrangement, outline, tolerance):
@@ -237,7 +174,7 @@ def _units_alike(drawing):
         f"units {listed(map(quoted, names), 'and')} stay apart; if they are one, name them alike"
         for names in alike.values()
         if len(names) > 1
-    ][:MOST_FLAWS]
+    ][:MOST_ALIKE]
 
 
 def _degrees(drawing, data, scale):
@@ -280,38 +217,26 @@ def survey(path, shown):
     Returns:
         polygons, fault_lines, vertices (counts); properties {name: values}; extent {x: (low, high),
         z: (low, high)} as given, or None; crs (or None); unit_property (the one that most likely
-        names the unit, or None), coordinates and vertical: what a case would say; hints and faults, text.
+        names the unit, or None), coordinates and vertical: what a case would say; hints and
+        faults, as text.
 
     Raises:
         CaseError: it is not a GeoJSON FeatureCollection.
     """
-    import shapely
-
     data = read_collection(path, shown)
     known = properties(data)
-    chosen, hints = _likely(known), []
+    chosen = _likely(known)
     drawing = read_drawing(data, shown, chosen)
-    shapes = [patch.shape for patch in drawing.patches]
-    extent, coordinates, vertical = None, "m", "up"
     _degrees(drawing, data, 1.0)
-    degrees = [fault for fault in drawing.problems if "degrees" in fault.message]
-    if shapes:
-        west, south, east, north = shapely.total_bounds(shapes).tolist()
-        extent = {"x": (west, east), "z": (south, north)}
-    if shapes and not degrees:
-        if _small(east - west, north - south):
-            coordinates = "km"
-            hints.append(f"{east - west:g} wide and {north - south:g} high: taken as km")
-        if south >= 0:
-            vertical = "down"
-            hints.append(f"z runs from {south:g} to {north:g}, never below 0: taken as depth")
+    extent, coordinates, vertical, hints = _guess(drawing)
+    if drawing.patches and not any("degrees" in fault.message for fault in drawing.problems):
         scales = 1e3 if coordinates == "km" else 1.0, -1.0 if vertical == "down" else 1.0
         drawing = read_drawing(data, shown, chosen, None, *scales)
         _arranged(drawing, None)
     return {
-        "polygons": len(shapes),
+        "polygons": len(drawing.patches),
         "fault_lines": len(drawing.faults),
-        "vertices": int(shapely.get_num_coordinates(shapes).sum()) if shapes else 0,
+        "vertices": drawing.vertices,
         "properties": known,
         "extent": extent,
         "crs": _crs(data) or None,
@@ -321,6 +246,24 @@ def survey(path, shown):
         "hints": list(dict.fromkeys(hints + drawing.notes + _units_alike(drawing))),
         "faults": [str(fault) for fault in shortened(drawing.problems)],
     }
+
+
+def _guess(drawing):
+    """Return the extent as given, and what coordinates and vertical may be, with hints on it."""
+    import shapely
+
+    if not drawing.patches:
+        return None, "m", "up", []
+    shapes = [patch.shape for patch in drawing.patches]
+    west, south, east, north = shapely.total_bounds(shapes).tolist()
+    coordinates, vertical, hints = "m", "up", []
+    if _small(east - west, north - south):
+        coordinates = "km"
+        hints.append(f"{east - west:g} wide and {north - south:g} high: taken as km")
+    if south >= 0:
+        vertical = "down"
+        hints.append(f"z runs from {south:g} to {north:g}, never below 0: taken as depth")
+    return {"x": (west, east), "z": (south, north)}, coordinates, vertical, hints
 
 
 def _likely(known):

@@ -1,6 +1,7 @@
 """A drawn section: what is read from it, what is closed, and what each fault says."""
 
 import json
+import re
 from pathlib import Path
 from time import perf_counter
 
@@ -169,11 +170,12 @@ def test_a_narrow_gap_open_to_the_surface_is_closed(read):
     assert sum(section.areas.values()) == pytest.approx(1e7)
 
 
-def test_a_wider_tolerance_closes_a_wider_gap(read):
-    drawn = SALT, sand((2000, -1000), (2500, -970), (3000, -1000))
-    with pytest.raises(CaseError, match=r"a tolerance above \d+ m closes it"):
-        read(*drawn)
-    assert read(*drawn, tolerance=40.0).areas["salt"] == pytest.approx(5e6, rel=0.01)
+@pytest.mark.parametrize("depth", [-970, -985.3, -1012.34])
+def test_the_tolerance_that_a_message_names_closes_the_flaw(read, depth):
+    drawn = SALT, sand((2000, -1000), (2500, depth), (3000, -1000))
+    (line,) = refused(read, *drawn)
+    enough = float(re.search(r"tolerance: (\S+) m would close it", line)[1])
+    assert read(*drawn, tolerance=enough).areas["salt"] == pytest.approx(5e6, rel=0.01)
 
 
 def test_neighbours_with_different_vertices_share_one_contact(read):
