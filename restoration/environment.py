@@ -3,6 +3,7 @@
 `check_environment` loads no library, so that a wrong one is named in a line before it crashes.
 """
 
+import atexit
 import contextlib
 import fcntl
 import hashlib
@@ -199,6 +200,7 @@ def _join(folder):
     if folder in _locks:
         return
     lock = _locks[folder] = (folder / "lock").open("w")
+    atexit.register(lock.close)
     try:
         fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         alone = True

@@ -1,0 +1,133 @@
+"""The measurements of docs/accuracy.md: ``.venv/bin/python docs/measure.py NAME``.
+
+Each prints a table. They take from one to some ten minutes on two cores.
+"""
+
+import argparse
+from pathlib import Path
+
+import numpy as np
+
+from restoration import transfer
+from restoration.diagnostics import line_distances, there_and_back, volume_by_rock
+from restoration.engine import StokesEngine
+from restoration.environment import use_jit_cache
+from restoration.resolve import load
+from restoration.run import march
+from restoration.units import YEAR
+
+ROOT = Path(__file__).parents[1]
+DEMO = ROOT / "cases" / "diapir-isoviscous" / "case.yaml"
+WEAK = ROOT / "cases" / "diapir-two-viscosities" / "case.yaml"
+MYR = 1e6 * YEAR
+
+
+def journey(case, *overrides):
+    """Run a case in memory; return the engine and its states at the marks."""
+    engine = StokesEngine(load(case, overrides).scene)
+    states = []
+    march(
+        engine.start(), engine, engine.scene.time, at_marks=(lambda _, state: states.append(state),)
+    )
+    return engine, states
+
+
+def row(*cells):
+    """Print a row of a table."""
+    print("| " + " | ".join(str(cell) for cell in cells) + " |", flush=True)
+
+
+def back(engine, states):
+    """Return how a journey there and back ended, as cells of a table."""
+    stats = there_and_back(states[-1].particles)[1]
+    (line, *_) = line_distances(states[0].lines, states[-1].lines)
+    return (
+        f"{stats['mean_m']:.2f} / {stats['p99_m']:.1f} / {stats['max_m']:.1f}",
+        f"{line['mean_m']:.2f} / {line['max_m']:.1f}",
+        engine.counts.solves,
+    )
+
+
+def reversibility():
+    """There and back with one scheme: steps, projection, particles."""
+    row("case", "particles back: mean / p99 / max, m", "horizon: mean / max, m", "solves")
+    for name, overrides in {
+        "the demo (courant 0.5)": (),
+        "courant 1": ("time.courant=1",),
+        "courant 0.25": ("time.courant=0.25",),
+        "midpoint": ("time.scheme=midpoint",),
+        "the paper's steps": ("time.scheme=paper",),
+        "the paper's steps and projection": (
+            "time.scheme=paper",
+            "transfer={density: quadrature, viscosity: cell, mean: harmonic}",
+        ),
+        "rk4 with means per cell": ("transfer={density: cell, viscosity: cell, mean: harmonic}",),
+    }.items():
+        row(name, *back(*journey(DEMO, *overrides)))
+    for weight in (1e-4, 1e-2):
+        transfer.BACKGROUND, kept = weight, transfer.BACKGROUND
+        row(f"background {weight:g} instead of {kept:g}", *back(*journey(DEMO)))
+        transfer.BACKGROUND = kept
+
+
+def truth():
+    """The forward run against one on a mesh twice as fine with other particles and steps."""
+    for age in (2, 4, 6):
+        marks = f"time.marks=[0 Myr, {age} Myr]"
+        fine = journey(DEMO, marks, "mesh.cells=90", "particles.seed=7", "time.min_steps=40")[1][-1]
+        for cells in (22, 45):
+            end = journey(DEMO, marks, f"mesh.cells={cells}")[1][-1]
+            line = line_distances(fine.lines, end.lines)[0]
+            row(
+                f"{age} Myr",
+                f"{cells} against 90 cells",
+                *(f"{line[k]:.0f}" for k in ("mean_m", "max_m")),
+            )
+
+
+def volume():
+    """Area of salt as the fields see it, and below the horizon, against the start."""
+    row("mark", "salt in the fields, change", "salt below the horizon, change")
+    engine, states = journey(DEMO)
+    width, height = engine.scene.outline.width, engine.scene.outline.height
+
+    def below(state):
+        points = state.lines[0].points
+        x, z = np.r_[points, [[width, -height], [0, -height]]].T
+        return 0.5 * abs(np.dot(x, np.roll(z, 1)) - np.dot(z, np.roll(x, 1)))
+
+    seen = [volume_by_rock(engine, state.particles)["salt"] for state in states]
+    for state, v in zip(states, seen, strict=True):
+        row(
+            f"{state.time / MYR:.0f} Myr",
+            f"{v / seen[0] - 1:+.2e}",
+            f"{below(state) / below(states[0]) - 1:+.2e}",
+        )
+
+
+def weak():
+    """The case of two viscosities there and back."""
+    row("case", "particles back: mean / p99 / max, m", "horizon: mean / max, m", "solves")
+    for name, overrides in {
+        "as shipped": (),
+        "to 1 Myr": ("time.marks=[0 Myr, 1 Myr, 0 Myr]",),
+        "to 0.75 Myr": ("time.marks=[0 Myr, 0.75 Myr, 0 Myr]",),
+    }.items():
+        row(name, *back(*journey(WEAK, *overrides)))
+
+
+TABLES = {f.__name__: f for f in (reversibility, truth, volume, weak)}
+
+
+def main():
+    """Print the tables that are asked for."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("names", nargs="*", default=list(TABLES), choices=[*TABLES, []])
+    use_jit_cache()
+    for name in parser.parse_args().names:
+        print(f"\n## {name}: {TABLES[name].__doc__}\n")
+        TABLES[name]()
+
+
+if __name__ == "__main__":
+    main()
