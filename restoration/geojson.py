@@ -256,14 +256,16 @@ def _points(drawing, entry, ring, scale, sign):
         points = np.array([point[:2] for point in ring], dtype=float).reshape(-1, 2)
     except OverflowError:
         points = np.array([[min(abs(value), 1e300) for value in point[:2]] for point in ring])
-    if not (np.abs(points) * scale < 1e9).all():
-        far = ~(np.abs(points) * scale < 1e9).all(axis=1)
+    near = np.abs(points) < 1e9 / scale
+    if not near.all():
+        far = ~near.all(axis=1)
         vertex = f"vertex {far.argmax() + 1}"
         drawing.refuse(
             entry, f"holds a coordinate beyond 1e9 m; correct {vertex} of a ring or line"
         )
         return None
     drawing.flattened |= any(len(point) > 2 for point in ring)
+    points[np.abs(points) < 1e-12] = 0.0  # which the exact arrangement could not divide by
     return points * [scale, scale * sign] + 0.0
 
 

@@ -6,6 +6,10 @@ from restoration.scene import Line
 
 # A segment is halved where the line turns by more than this at one of its ends, rad.
 SHARP_TURN = 0.2
+# A cubic is trusted where its four vertices are no more uneven than this, and where it leaves the
+# chord by no more than this part of it (a half circle leaves it by 0.5, a turn of 1 rad by 0.12).
+MOST_UNEVEN = 5.0
+MOST_SAGITTA = 0.15
 
 
 def points_of(lines):
@@ -20,12 +24,29 @@ def with_points(lines, points):
     return tuple(Line(line.name, line.kind, p) for line, p in zip(lines, moved, strict=True))
 
 
+def spaced(lines, longest):
+    """Return drawn lines with vertices at most ``longest`` apart, m, on their straight segments."""
+    return tuple(Line(line.name, line.kind, _spaced(line.points, longest)) for line in lines)
+
+
+def _spaced(points, longest):
+    parts = np.maximum(1, np.ceil(np.linalg.norm(np.diff(points, axis=0), axis=1) / longest))
+    at = np.r_[np.repeat(np.arange(len(parts)), parts.astype(int)), len(parts)].astype(float)
+    first = np.r_[0, np.cumsum(parts)[:-1]].astype(int)
+    at[:-1] += (np.arange(len(at) - 1) - np.repeat(first, parts.astype(int))) / np.repeat(
+        parts, parts.astype(int)
+    )
+    old = np.arange(len(points))
+    return np.column_stack([np.interp(at, old, axis) for axis in points.T])
+
+
 def refined(lines, longest, shortest):
     """Return the lines with long segments, and those at sharp turns, halved once.
 
     The new vertex lies on the cubic through the four vertices around the segment, by chord length:
     a straight chord would be off by curvature times length squared, and the way back stretches that
-    error as much as the way there stretched the line.
+    error as much as the way there stretched the line. Where the four are too uneven for a cubic, or
+    it leaves the chord as only a corner does, the vertex goes on the chord.
 
     Args:
         lines: `scene.Line`s.
@@ -38,26 +59,31 @@ def refined(lines, longest, shortest):
 
 
 def _refined(points, longest, shortest):
-    if len(points) < 3:
-        return points
     step = np.diff(points, axis=0)
     length = np.hypot(*step.T)
     direction = np.arctan2(step[:, 1], step[:, 0])
     turn = np.abs((np.diff(direction) + np.pi) % (2 * np.pi) - np.pi)
     sharp = np.maximum(np.r_[0, turn], np.r_[turn, 0]) > SHARP_TURN
     halved = np.flatnonzero((length > longest) | (sharp & (length > 2 * shortest)))
-    return np.insert(points, halved + 1, _cubic_middles(points, length, halved), axis=0)
+    return np.insert(points, halved + 1, _middles(points, length, halved), axis=0)
 
 
-def _cubic_middles(points, length, segments):
-    """Return the middles of segments on the cubics through the four vertices around them."""
+def _middles(points, length, segments):
+    """Return the middles of segments, on cubics where they can be trusted."""
+    chord = (points[segments] + points[segments + 1]) / 2
+    if len(points) < 4:
+        return chord
+    first = np.clip(segments - 1, 0, len(points) - 4)
+    near = first[:, None] + np.arange(4)
     s = np.r_[0, np.cumsum(np.maximum(length, 1e-12))]
-    first = np.clip(segments - 1, 0, len(points) - min(4, len(points)))
-    near = first[:, None] + np.arange(min(4, len(points)))
     at = (s[segments] + s[segments + 1]) / 2
     weight = np.ones(near.shape)
-    for j in range(near.shape[1]):
-        for m in range(near.shape[1]):
+    for j in range(4):
+        for m in range(4):
             if m != j:
                 weight[:, j] *= (at - s[near[:, m]]) / (s[near[:, j]] - s[near[:, m]])
-    return np.einsum("nk,nkd->nd", weight, points[near])
+    cubic = np.einsum("nk,nkd->nd", weight, points[near])
+    around = length[near[:, :3]]
+    uneven = around.max(axis=1) > MOST_UNEVEN * around.min(axis=1)
+    off = np.linalg.norm(cubic - chord, axis=1) > MOST_SAGITTA * length[segments]
+    return np.where((uneven | off)[:, None], chord, cubic)

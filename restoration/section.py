@@ -15,6 +15,7 @@ from restoration.words import listed, quoted
 
 TOLERANCE = 1e-3  # of the height: narrower gaps and overlaps are closed
 MOST_ALIKE = 10  # notes on units of like names
+LEAST = 1e-3  # m, of width and height
 SMALL = 100.0  # m; a section less high, and less than ten times as wide, may be in km
 SEPARATORS = re.compile("[ _-]+")
 GEOGRAPHIC = ("CRS84", "EPSG::4326", "EPSG:4326", "EPSG::4258", "EPSG:4258")
@@ -82,6 +83,10 @@ def _arranged(drawing, tolerance):
 
     shapes = [patch.shape for patch in drawing.patches]
     low_x, low, high_x, high = shapely.total_bounds(shapes)
+    if min(high_x - low_x, high - low) < LEAST:
+        size = f"{number(high_x - low_x)} m wide and {number(high - low)} m high"
+        drawing.refuse("", f"the section is {size}; at least 1 mm each way is needed")
+        return None, None, tolerance
     if tolerance is None:
         tolerance = TOLERANCE * (high - low)
     if _small(high_x - low_x, high - low):
@@ -92,6 +97,9 @@ def _arranged(drawing, tolerance):
     arrangement = arrange(shapes, tolerance)
     tell_flaws(drawing, arrangement, tolerance)
     pieces = shapely.get_parts(arrangement.whole)
+    if not len(pieces):
+        drawing.refuse("", "its polygons are slivers that leave no area; draw them to scale")
+        return arrangement, None, tolerance
     if len(pieces) > 1:
         tell_pieces(drawing, pieces)
         return arrangement, None, tolerance

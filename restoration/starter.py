@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from restoration.section import SMALL, survey
+from restoration.section import survey
 from restoration.words import counted, listed
 
 # Typical density, kg/m^3, and viscosity, Pa s, by a word in the name (paper, sect. 4.2).
@@ -57,15 +57,14 @@ def starter_case(path, found):
     settings = [f"file: {_yaml(name)}", f"property: {_yaml(unit)}"]
     if sort:
         settings.append(f"rock_property: {_yaml(sort)}")
-    extent = found["extent"]
-    if extent and max(high - low for low, high in extent.values()) < SMALL:
+    if found["coordinates"] == "km":
         settings.append("coordinates: km")
-    if extent and extent["z"][0] >= 0 and extent["z"][1] > 0:
-        settings.append("vertical: up")
+    if found["vertical"] == "down":
+        settings.append("vertical: down")
     lines = [
         "# A case to start from: save it beside the section, then replace the densities and",
         "# viscosities, which are only typical (a viscosity is rarely known to a factor of ten).",
-        f"title: {_yaml(Path(path).stem)}",
+        f"title: {_yaml(_title(Path(path)))}",
         f"section: {{{', '.join(settings)}}}",
         "rocks:",
     ]
@@ -84,6 +83,12 @@ def starter_case(path, found):
         "accuracy: draft # then balanced, then fine",
     ]
     return "\n".join(lines)
+
+
+def _title(path):
+    """Return the name of the file, or of its folder where the file only says what it is."""
+    folder = path.absolute().parent.name
+    return folder if path.stem in ("section", "polygons", "units") and folder else path.stem
 
 
 def _yaml(text):

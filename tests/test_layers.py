@@ -23,6 +23,7 @@ ORDER = {
         "case",
         "scene",
         "geojson",
+        "frame",
         "arrangement",
         "section",
         "starter",

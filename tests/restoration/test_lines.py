@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from restoration.lines import points_of, refined, with_points
+from restoration.lines import points_of, refined, spaced, with_points
 from restoration.scene import Line
 
 
@@ -46,6 +46,27 @@ def test_sharp_turns_get_vertices():
     assert len(points) == 7
 
 
-def test_two_points_stay_two():
+def test_uneven_vertices_do_not_overshoot():
+    """A long straight segment between short ones at an angle stays where it is."""
+    points = np.array([[0, 0], [1, 2], [2, 4], [1002, 4], [1003, 2], [1004, 0.0]])
+    line = Line("a", "horizon", points)
+    for _ in range(12):
+        (line,) = refined((line,), longest=10.0, shortest=1.0)
+    assert line.points[:, 1].min() >= -1e-9
+    assert line.points[:, 1].max() < 5
+    assert (np.diff(line.points[:, 0]) > 0).all()
+
+
+def test_drawn_lines_are_spaced_on_their_segments():
+    corner = Line("a", "fault", np.array([[0, 0], [10, 0], [10, 3.0]]))
+    points = spaced((corner,), longest=2.5)[0].points
+    assert points == pytest.approx(
+        np.array([[0, 0], [2.5, 0], [5, 0], [7.5, 0], [10, 0], [10, 1.5], [10, 3]])
+    )
+
+
+def test_two_points_are_halved_on_their_chord():
     line = Line("a", "fault", np.array([[0, 0], [100, 0.0]]))
-    assert len(refined((line,), 10.0, 1.0)[0].points) in (2, 3)
+    assert refined((line,), 60.0, 1.0)[0].points == pytest.approx(
+        np.array([[0, 0], [50, 0], [100, 0]])
+    )
