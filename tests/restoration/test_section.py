@@ -280,6 +280,18 @@ NOT_A_SECTION = {
     "bad properties": (text(SALT | {"properties": [1]}), "its properties are a list of 1"),
 }
 FAULTY = {
+    "no size": (
+        [feature("Polygon", [[[0, 0], [5000, 0], [5000, 1e-5], [0, 1e-5], [0, 0]]], unit="salt")],
+        "the section is 5000 m wide and 1e-5 m high; at least 1 mm each way is needed",
+    ),
+    "dust beside a far point": (
+        [
+            moved(SALT, 1e-10),
+            feature("Polygon", [[[0, 0], [1e-7, 0], [900, 1e-7], [0, 900], [0, 0]]], unit="sand"),
+            feature("Polygon", [[[0, 0], [900, 900], [900, 900.0000001], [0, 0]]], unit="silt"),
+        ],
+        "my.geojson: ",
+    ),
     "not closed": (
         [
             SAND,
