@@ -3,7 +3,8 @@
 import numpy as np
 import shapely
 
-from restoration.particles import OUTSIDE
+LEAST = 1e-6  # m, shorter distances count as this in the histogram
+LOG_BINS = np.arange(-6, 6.5, 0.5)  # log10 of m
 
 
 def there_and_back(particles):
@@ -83,8 +84,8 @@ def volume_by_rock(engine, particles):
 
 
 def relative_change(first, last):
-    """Return (last - first) / first of every entry of two dicts; None where first is zero."""
-    return {name: (last[name] - v) / v if v else None for name, v in first.items()}
+    """Return (last - first) / first of the entries of two dicts that are not zero in the first."""
+    return {name: (last[name] - v) / v for name, v in first.items() if v}
 
 
 def speeds(engine, flow):
@@ -96,6 +97,32 @@ def speeds(engine, flow):
     return float(np.sqrt(mean)), float(np.sqrt(squared.max()))
 
 
-def lost(particles):
-    """Return the number of particles outside the mesh."""
-    return int(np.count_nonzero(particles.cell == OUTSIDE))
+def compared(engine, states):
+    """Return what a run has kept and lost between its marks, as entries of its record.
+
+    Args:
+        engine: of the run.
+        states: `State` at every mark; where the last is at the time of the first, there and back is
+            compared too.
+    """
+    volume = [volume_by_rock(engine, state.particles) for state in states]
+    changes = [relative_change(volume[0], later) for later in volume[1:]]
+    found = {
+        "area_change": float(engine.index.area.sum() / engine.start_area - 1),
+        "volume_by_rock_change": changes[-1],
+        "volume_by_rock_largest_change": {
+            name: max((change[name] for change in changes), key=abs) for name in changes[0]
+        },
+    }
+    first, last = states[0], states[-1]
+    if last.time != first.time:
+        return found
+    distance, stats = there_and_back(last.particles)
+    counts, edges = np.histogram(
+        np.log10(np.maximum(distance[~np.isnan(distance)], LEAST)), bins=LOG_BINS
+    )
+    histogram = {"log10_m": edges.tolist(), "count": counts.tolist()}
+    return found | {
+        "there_and_back": stats | {"histogram": histogram},
+        "horizons": line_distances(first.lines, last.lines),
+    }

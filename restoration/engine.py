@@ -50,7 +50,7 @@ class StokesEngine:
     """
 
     def __init__(self, scene):
-        self.seconds = dict.fromkeys(("setup", "fields", "solve", "advect"), 0.0)
+        self.seconds = dict.fromkeys(("setup", "fields", "assemble", "solve", "advect"), 0.0)
         with self._timed("setup"):
             self.scene = scene
             self.section = section_mesh(scene.outline.surface, scene.outline.base, scene.cells)
@@ -153,6 +153,8 @@ class StokesEngine:
     def _solve(self, particles, weights):
         with self._timed("fields"):
             self.fields.fill(particles.x, particles.cell, weights, particles.unit, particles.area)
+        with self._timed("assemble"):
+            self.stokes.assemble()
         with self._timed("solve"):
             return self.stokes.solve()
 

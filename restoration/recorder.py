@@ -8,13 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from restoration.canvas import time_text
-from restoration.diagnostics import (
-    line_distances,
-    relative_change,
-    speeds,
-    there_and_back,
-    volume_by_rock,
-)
+from restoration.diagnostics import compared, speeds, there_and_back
 from restoration.engine import StokesEngine
 from restoration.environment import versions
 from restoration.errors import RestorationError, StoppedError
@@ -233,48 +227,25 @@ class Recorder:
         self.say(f"stopped {self.reached()}", aloud=False)
 
     def _compare(self):
-        """Compare the ends of the run where it has come back to where it started."""
-        first, last = self._marks[0], self._marks[-1]
-        figures = self.folder / "figures"
-        if len(self._marks) > 1:
-            draw_strip(
-                figures / "strip.png",
-                [
-                    (self.scene, s.time, s.particles.x, s.particles.unit, s.lines)
-                    for s in self._marks
-                ],
+        """Compare the marks, and draw them side by side and against where the run began."""
+        figures, first, last = self.folder / "figures", self._marks[0], self._marks[-1]
+        panels = [
+            (self.scene, s.time, s.particles.x, s.particles.unit, s.lines) for s in self._marks
+        ]
+        draw_strip(figures / "strip.png", panels)
+        found = compared(self.engine, self._marks)
+        self.record |= found
+        if "there_and_back" in found:
+            draw_there_and_back(
+                figures / "there-and-back.png",
+                self.scene,
+                last.particles.start,
+                last.particles.x,
+                last.particles.unit,
+                first.lines,
+                last.lines,
+                found["there_and_back"] | {"horizons": found["horizons"]},
             )
-        volume = [volume_by_rock(self.engine, state.particles) for state in self._marks]
-        changes = [relative_change(volume[0], later) for later in volume[1:]]
-        self.record["volume_by_rock_change"] = changes[-1]
-        self.record["volume_by_rock_largest_change"] = {
-            name: max((change[name] for change in changes if change[name] is not None), key=abs)
-            for name in volume[0]
-            if volume[0][name]
-        }
-        area = self.engine.index.area.sum()
-        self.record["area_change"] = area / self.engine.start_area - 1
-        if last.time != first.time or len(self._marks) < 2:
-            return
-        distance, stats = there_and_back(last.particles)
-        rows = line_distances(first.lines, last.lines)
-        counts, edges = np.histogram(
-            np.log10(np.maximum(distance[~np.isnan(distance)], 1e-6)), bins=np.arange(-6, 6.5, 0.5)
-        )
-        self.record["there_and_back"] = stats | {
-            "histogram": {"log10_m": edges.tolist(), "count": counts.tolist()}
-        }
-        self.record["horizons"] = rows
-        draw_there_and_back(
-            figures / "there-and-back.png",
-            self.scene,
-            last.particles.start,
-            last.particles.x,
-            last.particles.unit,
-            first.lines,
-            last.lines,
-            stats | {"horizons": rows},
-        )
 
     def _write_record(self, code):
         engine, last = self.engine, self._last

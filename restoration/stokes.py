@@ -102,20 +102,23 @@ class StokesProblem:
         self.x, self.r = self.b.duplicate(), self.b.duplicate()
         self.ksp = None
 
-    def solve(self):
-        """Return the `Flow` of the present density and viscosity.
-
-        Raises:
-            SolveError: MUMPS failed or the true relative residual stayed above `RESIDUAL`.
-        """
+    def assemble(self):
+        """Assemble the load and, unless it never changes, the matrix."""
         if self.ksp is None or not self.steady:
-            self._assemble()
+            self._assemble_matrix()
         with self.b.localForm() as local:
             local.set(0)
         fem.petsc.assemble_vector(self.b, self.load)
         fem.petsc.apply_lifting(self.b, [self.a], [self.bcs])
         self.b.ghostUpdate(addv=PETSc.InsertMode.ADD, mode=PETSc.ScatterMode.REVERSE)
         fem.petsc.set_bc(self.b, self.bcs)
+
+    def solve(self):
+        """Return the `Flow` of what was assembled last.
+
+        Raises:
+            SolveError: MUMPS failed or the true relative residual stayed above `RESIDUAL`.
+        """
         residual = self._checked_solve()
         self.counts.solves += 1
         self.counts.worst_residual = max(self.counts.worst_residual, residual)
@@ -135,7 +138,7 @@ class StokesProblem:
         u, _ = ufl.split(w)
         return fem.assemble_scalar(fem.form(outflow(u, walls, self.section, self.spaces)))
 
-    def _assemble(self):
+    def _assemble_matrix(self):
         self.A.zeroEntries()
         fem.petsc.assemble_matrix(self.A, self.a, self.bcs)
         self.A.assemble()

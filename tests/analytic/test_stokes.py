@@ -29,6 +29,12 @@ def problem(section, spaces, rho, eta, walls, eta0=1.0, gravity=1.0, closed=True
     return StokesProblem(section, spaces, rho, eta, eta0, walls, gravity, closed, steady=False)
 
 
+def solved(stokes):
+    """The flow of a problem, assembled and solved."""
+    stokes.assemble()
+    return stokes.solve()
+
+
 def errors(spaces, flow, exact):
     """Relative L2 errors of velocity and pressure (both of mean zero)."""
     dx = ufl.Measure("dx", spaces.V.mesh, metadata={"quadrature_degree": 6})
@@ -80,7 +86,7 @@ def manufactured_errors(n):
     stokes.load = fem.form(
         ufl.inner(-ufl.div(stress), v) * ufl.dx(metadata={"quadrature_degree": 8})
     )
-    return errors(spaces, stokes.solve(), manufactured)
+    return errors(spaces, solved(stokes), manufactured)
 
 
 def test_taylor_hood_orders():
@@ -97,7 +103,7 @@ def solcx_flow(n, contrast):
     eta.x.array[:] = np.where(section.corners[:, :, 0].mean(axis=1) < 0.5, 1, contrast)
     rho = -ufl.sin(ufl.pi * z) * ufl.cos(ufl.pi * x)
     eta0 = min(1, contrast)
-    return spaces, problem(section, spaces, rho, eta / eta0, SLIP_BOX, eta0).solve()
+    return spaces, solved(problem(section, spaces, rho, eta / eta0, SLIP_BOX, eta0))
 
 
 # Points and values of the reference table computed independently by finite differences (1e-14).
@@ -143,7 +149,7 @@ def test_residual_in_rough_sections(contrast, blobs):
     eta, rho = fem.Function(spaces.D), fem.Function(spaces.D)
     eta.x.array[:] = np.where(weak, contrast, 1) / min(contrast, 1)
     rho.x.array[:] = np.where(weak, 2000, 2600)
-    flow = problem(section, spaces, rho, eta, SLIP_BOX, min(contrast, 1), 9.81).solve()
+    flow = solved(problem(section, spaces, rho, eta, SLIP_BOX, min(contrast, 1), 9.81))
     assert flow.residual < 1e-8
     assert np.isfinite(flow.u).all()
 
@@ -151,9 +157,9 @@ def test_residual_in_rough_sections(contrast, blobs):
 def test_a_uniform_section_rests_under_its_weight():
     section, spaces = square(8)
     rho = fem.Constant(section.mesh, 2600.0)
-    flow = problem(
-        section, spaces, rho, fem.Constant(section.mesh, 1.0), SLIP_BOX, 1e19, 9.81
-    ).solve()
+    flow = solved(
+        problem(section, spaces, rho, fem.Constant(section.mesh, 1.0), SLIP_BOX, 1e19, 9.81)
+    )
     depth = 1 - spaces.Q.tabulate_dof_coordinates()[:, 1]
     assert flow.p == pytest.approx(2600 * 9.81 * depth, abs=1e-6)
     assert np.abs(flow.u).max() < 1e-12 * 2600 * 9.81 / 1e19
@@ -169,9 +175,9 @@ def test_traction_and_prescribed_velocity():
         "surface": Wall("traction", (None, None), (0.0, -7.0)),
     }
     one = fem.Constant(section.mesh, 3.0)
-    flow = problem(
-        section, spaces, fem.Constant(section.mesh, 0.0), one, walls, 1.0, 1.0, False
-    ).solve()
+    flow = solved(
+        problem(section, spaces, fem.Constant(section.mesh, 0.0), one, walls, 1.0, 1.0, False)
+    )
     at = spaces.V.tabulate_dof_coordinates()[:, :2]
     assert flow.u == pytest.approx(at * (2, -2), abs=1e-10)
     assert flow.p == pytest.approx(7 - 2 * 3 * 2, abs=1e-9)
@@ -186,7 +192,7 @@ def test_nothing_flows_through_an_inclined_free_slip_surface():
         walls = {**SLIP_BOX, "base": NO_SLIP}
         stokes = problem(section, spaces, ufl.cos(2 * x), fem.Constant(section.mesh, 1.0), walls)
         u = fem.Function(spaces.V)
-        u.x.array[:] = stokes.solve().u.ravel()
+        u.x.array[:] = solved(stokes).u.ravel()
         normal = ufl.dot(u, ufl.FacetNormal(section.mesh))
         top = spaces.ds(section.wall_tags["surface"])
         through = fem.assemble_scalar(fem.form(normal**2 * top))
@@ -203,7 +209,7 @@ def test_a_mirrored_section_gives_the_mirrored_flow():
     for side in (x, 1 - x):
         eta = 1 + 100 * ufl.exp(-20 * ((side - 0.3) ** 2 + (z - 0.4) ** 2))
         rho = 2000 + 500 * ufl.cos(3 * side) * z
-        flows.append(problem(section, spaces, rho, eta, SLIP_BOX).solve().u)
+        flows.append(solved(problem(section, spaces, rho, eta, SLIP_BOX)).u)
     at = np.round(spaces.V.tabulate_dof_coordinates()[:, :2], 9)
     order = np.lexsort(at.T)
     mirror = np.lexsort(np.column_stack([np.round(1 - at[:, 0], 9), at[:, 1]]).T)
@@ -218,7 +224,7 @@ def test_a_section_that_nothing_holds_is_refused():
     walls = dict.fromkeys(NO_SLIP_BOX, loose)
     one = fem.Constant(section.mesh, 1.0)
     with pytest.raises(SolveError):
-        problem(section, spaces, one, one, walls, closed=False).solve()
+        solved(problem(section, spaces, one, one, walls, closed=False))
 
 
 def test_nan_never_leaves_the_solver():
@@ -227,4 +233,4 @@ def test_nan_never_leaves_the_solver():
     eta.x.array[:] = 1
     eta.x.array[3] = np.nan
     with pytest.raises(SolveError):
-        problem(section, spaces, fem.Constant(section.mesh, 1.0), eta, SLIP_BOX).solve()
+        solved(problem(section, spaces, fem.Constant(section.mesh, 1.0), eta, SLIP_BOX))
