@@ -13,7 +13,7 @@ import numpy as np
 from meshes.box import section_mesh
 from restoration.advection import FROZEN, STEPPERS
 from restoration.errors import SolveError
-from restoration.lines import points_of, refined, spaced, with_points
+from restoration.lines import begin, points_of, refined, with_points
 from restoration.particles import (
     CellIndex,
     empty_cells,
@@ -95,7 +95,7 @@ class StokesEngine:
     def start(self):
         """Return the state at the first mark."""
         particles = self._settled(relocate(seed(self.scene), self.index))
-        lines = spaced(self.scene.lines, self.cell_size / LINE_POINTS_PER_CELL)
+        lines = begin(self.scene.lines, self.cell_size / LINE_POINTS_PER_CELL)
         return State(self.scene.time.marks[0], particles, lines)
 
     def with_flow(self, state):

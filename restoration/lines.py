@@ -1,5 +1,7 @@
 """Horizons and faults in motion: points in one array, and more of them where they stretch."""
 
+from dataclasses import dataclass, replace
+
 import numpy as np
 
 from restoration.scene import Line
@@ -10,6 +12,43 @@ SHARP_TURN = 0.2
 # chord by no more than this part of it (a half circle leaves it by 0.5, a turn of 1 rad by 0.12).
 MOST_UNEVEN = 5.0
 MOST_SAGITTA = 0.15
+# Added vertices go where drawn ones are back within this part of their distance at the start.
+RETURNED = 1.1
+
+
+@dataclass(frozen=True, eq=False)
+class MovingLine(Line):
+    """A line with the vertices it was drawn with, and those added where it stretched.
+
+    Attributes:
+        drawn: which vertices were there at the start, shape (n,), bool.
+        spacing: distances between those at the start, shape (drawn vertices - 1,), m.
+    """
+
+    drawn: np.ndarray
+    spacing: np.ndarray
+
+
+def begin(lines, longest):
+    """Return drawn lines ready to move, with vertices at most ``longest`` apart, m.
+
+    The vertices that makes necessary lie on the straight segments that were drawn.
+    """
+    ready = []
+    for line in lines:
+        points = _spaced(line.points, longest)
+        spacing = np.linalg.norm(np.diff(points, axis=0), axis=1)
+        ready.append(MovingLine(line.name, line.kind, points, np.ones(len(points), bool), spacing))
+    return tuple(ready)
+
+
+def _spaced(points, longest):
+    length = np.linalg.norm(np.diff(points, axis=0), axis=1)
+    parts = np.maximum(1, np.ceil(length / longest)).astype(int)
+    segment = np.repeat(np.arange(len(parts)), parts)
+    number = np.arange(len(segment)) - np.repeat(np.r_[0, np.cumsum(parts)[:-1]], parts)
+    at = np.r_[segment + number / parts[segment], len(parts)]
+    return np.column_stack([np.interp(at, np.arange(len(points)), axis) for axis in points.T])
 
 
 def points_of(lines):
@@ -21,51 +60,47 @@ def with_points(lines, points):
     """Return the lines with their vertices replaced from one array."""
     counts = np.cumsum([len(line.points) for line in lines])[:-1]
     moved = np.split(points, counts) if lines else []
-    return tuple(Line(line.name, line.kind, p) for line, p in zip(lines, moved, strict=True))
-
-
-def spaced(lines, longest):
-    """Return drawn lines with vertices at most ``longest`` apart, m, on their straight segments."""
-    return tuple(Line(line.name, line.kind, _spaced(line.points, longest)) for line in lines)
-
-
-def _spaced(points, longest):
-    parts = np.maximum(1, np.ceil(np.linalg.norm(np.diff(points, axis=0), axis=1) / longest))
-    at = np.r_[np.repeat(np.arange(len(parts)), parts.astype(int)), len(parts)].astype(float)
-    first = np.r_[0, np.cumsum(parts)[:-1]].astype(int)
-    at[:-1] += (np.arange(len(at) - 1) - np.repeat(first, parts.astype(int))) / np.repeat(
-        parts, parts.astype(int)
-    )
-    old = np.arange(len(points))
-    return np.column_stack([np.interp(at, old, axis) for axis in points.T])
+    return tuple(replace(line, points=part) for line, part in zip(lines, moved, strict=True))
 
 
 def refined(lines, longest, shortest):
-    """Return the lines with long segments, and those at sharp turns, halved once.
+    """Return the lines with vertices added where they are long or turn, and removed where not.
 
-    The new vertex lies on the cubic through the four vertices around the segment, by chord length:
-    a straight chord would be off by curvature times length squared, and the way back stretches that
+    A new vertex lies on the cubic through the four vertices around its segment, by chord length: a
+    straight chord would be off by curvature times length squared, and the way back stretches that
     error as much as the way there stretched the line. Where the four are too uneven for a cubic, or
-    it leaves the chord as only a corner does, the vertex goes on the chord.
+    it leaves the chord as only a corner does, the vertex goes on the chord. Added vertices go again
+    where the drawn ones on both sides are as close as they were: they were only needed between.
 
     Args:
-        lines: `scene.Line`s.
-        longest: segments above this are halved, m.
+        lines: `MovingLine`s.
+        longest: segments above this are halved once, m.
         shortest: segments below this are left alone, m.
     """
-    return tuple(
-        Line(line.name, line.kind, _refined(line.points, longest, shortest)) for line in lines
-    )
+    return tuple(_refined(_relaxed(line), longest, shortest) for line in lines)
 
 
-def _refined(points, longest, shortest):
-    step = np.diff(points, axis=0)
+def _relaxed(line):
+    drawn = np.flatnonzero(line.drawn)
+    distance = np.linalg.norm(np.diff(line.points[drawn], axis=0), axis=1)
+    back = np.r_[distance <= RETURNED * line.spacing, False]
+    keep = line.drawn | ~back[np.cumsum(line.drawn) - 1]
+    return replace(line, points=line.points[keep], drawn=line.drawn[keep])
+
+
+def _refined(line, longest, shortest):
+    step = np.diff(line.points, axis=0)
     length = np.hypot(*step.T)
     direction = np.arctan2(step[:, 1], step[:, 0])
     turn = np.abs((np.diff(direction) + np.pi) % (2 * np.pi) - np.pi)
     sharp = np.maximum(np.r_[0, turn], np.r_[turn, 0]) > SHARP_TURN
     halved = np.flatnonzero((length > longest) | (sharp & (length > 2 * shortest)))
-    return np.insert(points, halved + 1, _middles(points, length, halved), axis=0)
+    middles = _middles(line.points, length, halved)
+    return replace(
+        line,
+        points=np.insert(line.points, halved + 1, middles, axis=0),
+        drawn=np.insert(line.drawn, halved + 1, False),
+    )
 
 
 def _middles(points, length, segments):

@@ -2,8 +2,8 @@
 
 from dataclasses import dataclass
 
+from restoration.lines import MovingLine
 from restoration.particles import Particles
-from restoration.scene import Line
 from restoration.stokes import Flow
 
 
@@ -20,5 +20,5 @@ class State:
 
     time: float
     particles: Particles
-    lines: tuple[Line, ...]
+    lines: tuple[MovingLine, ...]
     flow: Flow | None = None
