@@ -134,7 +134,9 @@ class Recorder:
         self._last = state
         self._marks.append(state)
         self._frame(state)
-        name = f"{number}-{state.time / MYR:.3f}Myr"
+        myr = state.time / MYR
+        restored = max(self.scene.time.marks) <= 0
+        name = f"{number}-{abs(myr):.3f}Ma" if restored else f"{number}-{myr:.3f}Myr"
         about = {"mark": number, "model_time_Myr": state.time / MYR}
         write_lines(self.folder / "horizons" / f"{name}.geojson", state.lines, about)
         draw_section(
