@@ -34,6 +34,12 @@ class SectionMesh:
         return self.mesh.geometry.dofmap.array.reshape(-1, 3)
 
     @property
+    def areas(self):
+        """Area of every triangle, shape (cells,), m^2."""
+        a, b = self.corners[:, 1] - self.corners[:, 0], self.corners[:, 2] - self.corners[:, 0]
+        return 0.5 * np.abs(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])
+
+    @property
     def neighbours(self):
         """Cell across the facet opposite each corner, shape (cells, 3), int32; -1 on a wall."""
         topology = self.mesh.topology

@@ -1,7 +1,8 @@
 """The engine that moves a section by Stokes flow.
 
-An engine offers `stable_step` and `advance`; the loop knows nothing else of the physics. A
-discrete-element engine will offer the same two.
+The loop (`run.march`) asks an engine for three things, `with_flow`, `stable_step` and `advance`,
+and knows nothing else of the physics; the recorder asks for `about`, `work`, `numbers` and
+`snapshot`. A discrete-element engine will offer the same.
 """
 
 import time
@@ -45,7 +46,7 @@ class StokesEngine:
         born: particles born so far to fill cells.
         empty_cells: cells without a particle after the last step; their rock is read from the
             particles around them.
-        held_back: times a particle was set back onto a closed wall.
+        held_on_wall: times a particle was set back onto a closed wall.
         seconds: wall time by part, s.
     """
 
@@ -55,8 +56,8 @@ class StokesEngine:
             self.scene = scene
             self.section = section_mesh(scene.outline.surface, scene.outline.base, scene.cells)
             self.spaces = Spaces(self.section)
-            self.index = CellIndex(self.section.corners, self.section.neighbours)
-            self.start_area = float(self.index.area.sum())
+            self.index = CellIndex(self.section)
+            self.start_area = float(self.section.areas.sum())
             self.cell_size = float(np.sqrt(4 * self.index.area.mean()))
             self.eta0 = float(scene.unit_viscosity.min())
             relative = scene.unit_viscosity / self.eta0
@@ -76,17 +77,56 @@ class StokesEngine:
             )
         self.born = 0
         self.empty_cells = 0
-        self.held_back = 0
+        self.held_on_wall = 0
 
     @property
     def counts(self):
         """What the solver has done so far."""
         return self.stokes.counts
 
-    @property
-    def active(self):
-        """What this scene makes the engine do, in words, and nothing else."""
-        return active(self.scene)
+    def about(self):
+        """Return what this engine is and does, as entries of the run record."""
+        return {
+            "engine": "stokes",
+            "active": active(self.scene),
+            "cells": len(self.index.area),
+            "unknowns": self.spaces.unknowns,
+        }
+
+    def work(self):
+        """Return what it has done so far, as entries of the run record."""
+        counts = self.stokes.counts
+        return {
+            "stokes_solves": counts.solves,
+            "factorisations": counts.factorisations,
+            "refinements": counts.refinements,
+            "worst_residual": counts.worst_residual,
+            "particles_born": self.born,
+            "wall_by_part_s": {part: round(s, 3) for part, s in self.seconds.items()},
+        }
+
+    def numbers(self, state):
+        """Return the numbers of a step, as columns of the diagnostics table."""
+        rms, greatest = self.speeds(state.flow)
+        return {
+            "stokes_solves": self.stokes.counts.solves,
+            "residual": state.flow.residual,
+            "rms_velocity_m_per_s": rms,
+            "max_velocity_m_per_s": greatest,
+            "particles": len(state.particles.x),
+            "particles_lost": state.particles.lost,
+            "particles_born": self.born,
+            "empty_cells": self.empty_cells,
+            "held_on_wall": self.held_on_wall,
+        }
+
+    def speeds(self, flow):
+        """Return root mean square and greatest speed, m/s."""
+        area, nodes = self.index.area, self.spaces.v_nodes
+        squared = (flow.u**2).sum(axis=1)
+        # The rule of the edge middles is exact to degree two, enough for a diagnostic.
+        mean = (area * squared[nodes[:, 3:]].mean(axis=1)).sum() / area.sum()
+        return float(np.sqrt(mean)), float(np.sqrt(squared.max()))
 
     def snapshot(self):
         """Return the reader of the fields for files."""
@@ -128,15 +168,15 @@ class StokesEngine:
             nonlocal asked
             first, asked = asked == 0, asked + 1
             with self._timed("advect"):
-                moved = relocate(state.particles, self.index, x[:n])
-                cell, weights = self.index.locate(x, np.r_[moved.cell, line_cells])
+                cell, weights = self.index.locate(x, guess)
+                moved = replace(state.particles, x=x[:n], cell=cell[:n])
             frozen = first or self.scene.time.scheme in FROZEN
             flow = state.flow if frozen else self._solve(moved, weights[:n])
             with self._timed("advect"):
                 return velocity_at(self.spaces.v_nodes, flow.u, cell, weights)
 
         points = points_of(state.lines)
-        line_cells = self.index.guess(points)
+        guess = np.r_[state.particles.cell, self.index.guess(points)]
         x = STEPPERS[self.scene.time.scheme](
             np.concatenate([state.particles.x, points]), velocity, dt
         )
@@ -193,7 +233,7 @@ class StokesEngine:
         bottom = np.interp(across, *outline.base.T) if held["base"] else -np.inf
         top = np.interp(across, *outline.surface.T) if held["surface"] else np.inf
         inside = np.column_stack([across, np.clip(x[:, 1], bottom, top)])
-        self.held_back += int(np.count_nonzero(np.any(inside != x, axis=1)))
+        self.held_on_wall += int(np.count_nonzero(np.any(inside != x, axis=1)))
         return inside
 
     @contextmanager

@@ -141,6 +141,8 @@ def read_wall(value):
     for found in values:
         if found and abs(found.si) > HIGHEST[unit]:
             raise ValueError(f"{quoted(found.text)} is beyond {show(HIGHEST[unit], unit)}")
+    if kind == "traction" and None in values:
+        raise ValueError("a traction has a value along x and along z; 0 MPa is none")
     if kind == "velocity" and values == (None, None):
         raise ValueError(
             "holds nothing; write {traction: [0 MPa, 0 MPa]} for a wall left to itself"

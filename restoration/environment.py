@@ -24,11 +24,10 @@ DEBIAN_MODULES = {
     "dolfinx": "python3-dolfinx",
     "petsc4py": "python3-petsc4py",
     "mpi4py": "python3-mpi4py",
-    "gmsh": "python3-gmsh",
     "h5py": "python3-h5py",
     "scipy": "python3-scipy",
 }
-VENV_MODULES = ("matplotlib", "numba", "pydantic", "pyvista", "ruamel", "shapely")
+VENV_MODULES = ("matplotlib", "numba", "pydantic", "ruamel", "shapely")
 STALE = 60.0  # s, age of a half-built form that no living process can still be building
 
 

@@ -77,13 +77,18 @@ def refined(lines, longest, shortest):
         longest: segments above this are halved once, m.
         shortest: segments below this are left alone, m.
     """
-    return tuple(_refined(_relaxed(line), longest, shortest) for line in lines)
+    return tuple(_refined(_relaxed(line, longest), longest, shortest) for line in lines)
 
 
-def _relaxed(line):
+def as_drawn(lines):
+    """Return the lines with the vertices they were drawn with, and no others."""
+    return tuple(Line(line.name, line.kind, line.points[line.drawn]) for line in lines)
+
+
+def _relaxed(line, longest):
     drawn = np.flatnonzero(line.drawn)
     distance = np.linalg.norm(np.diff(line.points[drawn], axis=0), axis=1)
-    back = np.r_[distance <= RETURNED * line.spacing, False]
+    back = np.r_[(distance <= RETURNED * line.spacing) | (distance <= longest / 2), False]
     keep = line.drawn | ~back[np.cumsum(line.drawn) - 1]
     return replace(line, points=line.points[keep], drawn=line.drawn[keep])
 

@@ -47,16 +47,19 @@ class CellIndex:
     """Finds the cell and the barycentric coordinates of points by walking through the mesh.
 
     Args:
-        corners: corner coordinates, shape (cells, 3, 2), m.
+        section: `meshes.data.SectionMesh`.
+
+    Attributes:
+        corners: corner coordinates of every cell, shape (cells, 3, 2), m.
         neighbours: cell opposite each corner, shape (cells, 3); -1 on a wall.
+        area: of every cell, shape (cells,), m^2.
     """
 
-    def __init__(self, corners, neighbours):
-        self.corners = np.ascontiguousarray(corners)
-        self.neighbours = np.ascontiguousarray(neighbours)
-        self._tree = cKDTree(corners.mean(axis=1))
-        edge1, edge2 = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
-        self.area = 0.5 * np.abs(edge1[:, 0] * edge2[:, 1] - edge1[:, 1] * edge2[:, 0])
+    def __init__(self, section):
+        self.corners = np.ascontiguousarray(section.corners)
+        self.neighbours = np.ascontiguousarray(section.neighbours)
+        self.area = section.areas
+        self._tree = cKDTree(self.corners.mean(axis=1))
 
     def guess(self, x):
         """Return the cell with the nearest centre for every point, shape (n,), int32."""

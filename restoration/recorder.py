@@ -3,12 +3,13 @@
 import resource
 import subprocess
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from restoration.canvas import time_text
-from restoration.diagnostics import compared, speeds, there_and_back
+from restoration.diagnostics import compared, there_and_back
 from restoration.engine import StokesEngine
 from restoration.environment import versions
 from restoration.errors import RestorationError, StoppedError
@@ -21,9 +22,9 @@ from restoration.output import (
     write_record,
 )
 from restoration.plan import time_label
-from restoration.units import YEAR, show
+from restoration.units import MYR, show
+from restoration.writing import disk_faults
 
-MYR = 1e6 * YEAR
 COLUMNS = (
     "step",
     "time_Myr",
@@ -64,12 +65,12 @@ class Recorder:
         self._began, self._output_s = time.perf_counter(), 0.0
         self._marks = []  # (time, state) of every mark passed
         self._last = None
-        self._panels = []
+        self._framed = -1.0  # elapsed time of the last frame
         self._path = float(np.abs(np.diff(self.scene.time.marks)).sum())
-        self._log = (self.folder / "log.txt").open("w", encoding="utf-8")
+        with disk_faults(self.folder / "log.txt"):
+            self._log = (self.folder / "log.txt").open("w", encoding="utf-8")
         self.record = {
             "ended_well": False,
-            "engine": "stokes",
             "case_sha256": job.sha256,
             "ranks": 1,
             "seed": self.scene.particles.seed,
@@ -90,7 +91,7 @@ class Recorder:
         }
         self.cloud = ParticleSeries(self.folder / "particles.xdmf", frame)
         self.table = Diagnostics(self.folder / "diagnostics.csv", COLUMNS)
-        self.record |= {"cells": len(engine.index.area), "unknowns": engine.spaces.unknowns}
+        self.record |= engine.about()
         self.say(
             f"{self.record['cells']} cells, {self.record['unknowns']} unknowns, "
             f"marks {', '.join(time_label(scene, mark) for mark in scene.time.marks)}"
@@ -103,21 +104,12 @@ class Recorder:
         self.steps += 1
         self.elapsed += abs(dt)
         self._last = state
-        rms, greatest = speeds(self.engine, state.flow)
         self.table.write(
             step=self.steps,
             time_Myr=state.time / MYR,
             dt_kyr=dt / MYR * 1e3,
-            stokes_solves=self.engine.counts.solves,
-            residual=state.flow.residual,
-            rms_velocity_m_per_s=rms,
-            max_velocity_m_per_s=greatest,
-            particles=len(state.particles.x),
-            particles_lost=state.particles.lost,
-            particles_born=self.engine.born,
-            empty_cells=self.engine.empty_cells,
-            held_on_wall=self.engine.held_back,
             wall_s=time.perf_counter() - self._began,
+            **self.engine.numbers(state),
         )
         self._tell(state, dt)
         at = self.scene.output.at
@@ -132,7 +124,7 @@ class Recorder:
             self.say(f"{len(state.particles.x)} particles")
         before = self._marks[-1].time if self._marks else None
         self._last = state
-        self._marks.append(state)
+        self._marks.append(replace(state, flow=None))  # a flow is large, and not compared
         self._frame(state)
         myr = state.time / MYR
         restored = max(self.scene.time.marks) <= 0
@@ -153,12 +145,14 @@ class Recorder:
         self._output_s += time.perf_counter() - begin
 
     def end(self, error=None):
-        """Write the last pictures and the record; return the record.
+        """Write the record, and where a run was stopped the frame it has reached.
 
         Args:
             error: what ended the run early, or None.
+
+        Returns:
+            The record.
         """
-        begin = time.perf_counter()
         if isinstance(error, (StoppedError, KeyboardInterrupt)):
             code = StoppedError.exit_code
         elif error is None:
@@ -166,12 +160,10 @@ class Recorder:
         else:
             code = error.exit_code if isinstance(error, RestorationError) else BUG
         try:
-            if error is None:
-                self._compare()
-            elif code == StoppedError.exit_code and self._last is not None:
-                self._keep_last()
+            # a second Ctrl-C may come in the middle of a step, with fields of one of its stages
+            if isinstance(error, StoppedError) and self._last and self.elapsed > self._framed:
+                self._frame(self.engine.with_flow(self._last))
         finally:
-            self._output_s += time.perf_counter() - begin
             self._write_record(code)
             if error is not None:
                 self.say(f"{type(error).__name__}: {error}", aloud=False)
@@ -189,7 +181,8 @@ class Recorder:
 
     def say(self, line, aloud=True):
         """Write a line to the log and, aloud, to the user."""
-        print(line, file=self._log, flush=True)
+        with disk_faults(self.folder / "log.txt"):
+            print(line, file=self._log, flush=True)
         if aloud and self.progress:
             self.progress.say(line)
 
@@ -201,12 +194,14 @@ class Recorder:
             f"{self.engine.counts.solves} solves  {100 * share:.0f} %  "
             f"about {wall * (1 - share) / share:.0f} s left"
         )
-        print(line, file=self._log)
+        with disk_faults(self.folder / "log.txt"):
+            print(line, file=self._log)
         if self.progress:
             self.progress.update(line)
 
     def _frame(self, state):
         scene, particles = self.scene, state.particles
+        self._framed = self.elapsed
         point, cell = self.snapshot.read(state.flow, scene.output.fields)
         self.fields.write(
             self.elapsed, self.snapshot.points, self.snapshot.triangles, point, cell, state.time
@@ -222,14 +217,9 @@ class Recorder:
             }
             self.cloud.write(self.elapsed, particles.x, data, state.time)
 
-    def _keep_last(self):
-        """Write where a stopped run is, unless a frame of that moment is there."""
-        if self._last.time not in [state.time for state in self._marks[-1:]]:
-            self._frame(self.engine.with_flow(self._last))
-        self.say(f"stopped {self.reached()}", aloud=False)
-
-    def _compare(self):
+    def compare(self):
         """Compare the marks, and draw them side by side and against where the run began."""
+        begin = time.perf_counter()
         figures, first, last = self.folder / "figures", self._marks[0], self._marks[-1]
         panels = [
             (self.scene, s.time, s.particles.x, s.particles.unit, s.lines) for s in self._marks
@@ -248,25 +238,18 @@ class Recorder:
                 last.lines,
                 found["there_and_back"] | {"horizons": found["horizons"]},
             )
+        self._output_s += time.perf_counter() - begin
 
     def _write_record(self, code):
-        engine, last = self.engine, self._last
-        if engine is not None:
-            seconds = engine.seconds | {"output": self._output_s}
+        if self.engine is not None:
+            work = self.engine.work()
+            work["wall_by_part_s"] |= {"output": round(self._output_s, 3)}
+            self.record |= work
+        if self._last is not None:
             self.record |= {
-                "active": engine.active,
-                "stokes_solves": engine.counts.solves,
-                "factorisations": engine.counts.factorisations,
-                "krylov_iterations": 0,
-                "worst_residual": engine.counts.worst_residual,
-                "wall_by_part_s": {name: round(value, 3) for name, value in seconds.items()},
-                "particles_born": engine.born,
-            }
-        if last is not None:
-            self.record |= {
-                "particles": len(last.particles.x),
-                "particles_lost": last.particles.lost,
-                "time_reached_s": last.time,
+                "particles": len(self._last.particles.x),
+                "particles_lost": self._last.particles.lost,
+                "time_reached_s": self._last.time,
             }
         self.record |= {
             "ended_well": code == 0,

@@ -128,12 +128,6 @@ def load(path, overrides=(), allow_outside=False):
     return Loaded(case, scene, text, resolved_yaml(case, scene, digest))
 
 
-def load_scene(path, overrides=(), allow_outside=False):
-    """Return the case and the scene of a file; arguments and errors as `load`."""
-    loaded = load(path, overrides, allow_outside)
-    return loaded.case, loaded.scene
-
-
 def _title(path):
     """Return the title of a case without one: the name of its folder or its file."""
     return path.absolute().parent.name if path.stem == "case" else path.stem

@@ -5,18 +5,31 @@
 
 import hashlib
 import json
-import shutil
 import signal
 from dataclasses import dataclass
 from math import ceil
 from pathlib import Path
 
-from restoration.errors import CaseError, OutputError, StoppedError
+from restoration.errors import CaseError, OutputError, SolveError, StoppedError
+from restoration.units import show
+
+MOST_STEPS = 1_000_000  # to a mark; a flow that needs more is not what the case is about
 
 
 def next_time(t, mark, stable):
-    """Return the next model time on the way from ``t`` to ``mark``, s."""
-    n = ceil(abs(mark - t) / stable)
+    """Return the next model time on the way from ``t`` to ``mark``, s.
+
+    Raises:
+        SolveError: the step would be so short that the mark is out of reach.
+    """
+    n = abs(mark - t) / stable
+    if not n <= MOST_STEPS:
+        raise SolveError(
+            f"the flow is so fast that {n:.1g} steps of {show(stable, 'time')} lie between "
+            f"{show(t, 'time')} and {show(mark, 'time')}, at most {MOST_STEPS} are made; check "
+            "viscosities and walls, or set nearer marks"
+        )
+    n = ceil(n)
     return mark if n <= 1 else t + (mark - t) / n
 
 
@@ -117,29 +130,40 @@ def prepare_folder(job):
     return folder
 
 
-RUN_FILES = ("case.yaml", "resolved.yaml", "run.json", "diagnostics.csv", "log.txt")
+# What a run leaves in its folder.
+RUN_FILES = (
+    "case.yaml",
+    "resolved.yaml",
+    "run.json",
+    "diagnostics.csv",
+    "log.txt",
+    "fields*.xdmf",
+    "fields*.h5",
+    "particles*.xdmf",
+    "particles*.h5",
+    "figures/section-*.png",
+    "figures/strip.png",
+    "figures/there-and-back.png",
+    "horizons/[0-9]*-*.geojson",
+)
 
 
 def _earlier(folder):
     """Return hash and good end of the run in a folder; None if it is no run folder."""
-    if not (folder / "resolved.yaml").is_file():
+    if not (folder / "resolved.yaml").is_file() or not (folder / "case.yaml").is_file():
         return None
     sha = hashlib.sha256((folder / "resolved.yaml").read_bytes()).hexdigest()
     try:
         return sha, bool(json.loads((folder / "run.json").read_text())["ended_well"])
-    except (OSError, ValueError, KeyError):
+    except (OSError, ValueError, KeyError, TypeError):
         return sha, False
 
 
 def _clear(folder):
     """Remove what a run leaves, and nothing else."""
-    for name in RUN_FILES:
-        (folder / name).unlink(missing_ok=True)
-    for pattern in ("fields*.xdmf", "fields*.h5", "particles*.xdmf", "particles*.h5"):
+    for pattern in RUN_FILES:
         for path in folder.glob(pattern):
             path.unlink()
-    for name in ("figures", "horizons"):
-        shutil.rmtree(folder / name, ignore_errors=True)
 
 
 class StopRequest:
@@ -201,6 +225,7 @@ def run_job(job, progress=None):
                 every_step=(recorder.step, stop.check),
                 at_marks=(recorder.mark, stop.check),
             )
+            recorder.compare()
         except StoppedError as stopped:
             recorder.end(stopped)
             raise StoppedError(f"stopped on request {recorder.reached()}; see {folder}") from None

@@ -46,8 +46,3 @@ class Spaces:
     def unknowns(self):
         """Number of velocity and pressure unknowns."""
         return self.W.dofmap.index_map.size_global * self.W.dofmap.index_map_bs
-
-
-def form(expression):
-    """Return the compiled form."""
-    return fem.form(expression)

@@ -40,7 +40,8 @@ class Flow:
 
     Attributes:
         u: velocity at the P2 nodes, shape (nodes, 2), m/s.
-        p: pressure at the vertices, shape (vertices,), Pa; zero on average along the surface.
+        p: pressure at the vertices, shape (vertices,), Pa; in a closed section zero on average
+            along the surface.
         residual: true relative residual of the solve.
     """
 
@@ -71,36 +72,37 @@ class StokesProblem:
         self.spaces, self.section, self.eta0, self.steady = spaces, section, eta0, steady
         self.closed = closed
         self.counts = Counts()
-        mesh = section.mesh
         # One cell size: then pressure and velocity columns are of one size where eta = eta0.
-        self.length = float(np.sqrt(np.abs(_cell_areas(section.corners)).mean()))
-        trial, test = ufl.TrialFunctions(spaces.W), ufl.TestFunctions(spaces.W)
-        a = stokes_form(*trial, *test, eta, self.length, spaces.dx)
-        slip = wall_form(trial, test, eta, self.length, walls, section, spaces)
-        self.a = fem.form(a if slip is None else a + slip)
-        g = fem.Constant(mesh, np.array([0.0, -gravity]) / eta0)
-        load = gravity_load(test[0], rho, g, spaces.dx)
-        push = wall_load(test[0], eta0, walls, section, spaces)
+        self.length = float(np.sqrt(section.areas.mean()))
         self.bcs = velocity_conditions(walls, section, spaces)
-        self._leak = fem.Constant(mesh, PETSc.ScalarType(0))
-        load += source_load(test[1], self._leak, self.length, spaces.dx)
-        self.load = fem.form(load if push is None else load + push)
+        leak = fem.Constant(section.mesh, PETSc.ScalarType(0))
         if closed:
-            self._leak.value = (
-                self._prescribed_outflow(walls) / np.abs(_cell_areas(section.corners)).sum()
-            )
+            # The walls as the mesh interpolates them may let a little more in than out, which no
+            # divergence-free flow can meet: spread over the section it does not spoil the pin.
+            leak.value = self._prescribed_outflow(walls) / section.areas.sum()
             self.bcs = [*self.bcs, pressure_pin(spaces)]
-        p = fem.Function(spaces.Q)
-        self._p = p
-        self._surface_pressure = fem.form(p * spaces.ds(section.wall_tags["surface"]))
-        one = fem.Constant(mesh, PETSc.ScalarType(1))
-        self._surface_length = fem.assemble_scalar(
-            fem.form(one * spaces.ds(section.wall_tags["surface"]))
-        )
+        self._make_forms(rho, eta, walls, gravity, leak)
         self.A = fem.petsc.create_matrix(self.a)
         self.b = fem.petsc.create_vector(self.load)
         self.x, self.r = self.b.duplicate(), self.b.duplicate()
         self.ksp = None
+        top = spaces.ds(section.wall_tags["surface"])
+        self._p = fem.Function(spaces.Q)
+        self._surface_pressure = fem.form(self._p * top)
+        one = fem.Constant(section.mesh, PETSc.ScalarType(1))
+        self._surface_length = fem.assemble_scalar(fem.form(one * top))
+
+    def _make_forms(self, rho, eta, walls, gravity, leak):
+        spaces, section = self.spaces, self.section
+        trial, test = ufl.TrialFunctions(spaces.W), ufl.TestFunctions(spaces.W)
+        a = stokes_form(*trial, *test, eta, self.length, spaces.dx)
+        slip = wall_form(trial, test, eta, self.length, walls, section, spaces)
+        self.a = fem.form(a if slip is None else a + slip)
+        g = fem.Constant(section.mesh, np.array([0.0, -gravity]) / self.eta0)
+        load = gravity_load(test[0], rho, g, spaces.dx)
+        load += source_load(test[1], leak, self.length, spaces.dx)
+        push = wall_load(test[0], self.eta0, walls, section, spaces)
+        self.load = fem.form(load if push is None else load + push)
 
     def assemble(self):
         """Assemble the load and, unless it never changes, the matrix."""
@@ -208,8 +210,3 @@ class StokesProblem:
         self.x.axpy(1, correction)
         correction.destroy()
         self.counts.refinements += 1
-
-
-def _cell_areas(corners):
-    a, b = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
-    return (a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]) / 2

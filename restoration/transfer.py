@@ -50,10 +50,10 @@ class RockFields:
         self.rho = fem.Function(space[transfer.density], name="density")
         self.theta = fem.Function(space[transfer.viscosity], name="theta")
         self.eta = VISCOSITY_OF_MEAN[transfer.mean](self.theta)
-        self.one_viscosity = len(set(np.asarray(viscosity).tolist())) == 1
         self._points, _ = basix.make_quadrature(basix.CellType.triangle, QUADRATURE_DEGREE)
         self._around = None
-        self._hats = np.full((spaces.q_nodes.max() + 1, 2), np.nan)
+        self._vertices = int(spaces.q_nodes.max()) + 1
+        self._hats = np.full((self._vertices, 2), np.nan)
 
     def fill(self, x, cell, weights, unit, area):
         """Fill the fields from particles.
@@ -82,7 +82,7 @@ class RockFields:
             cell, weights, unit, area: as in `fill`.
         """
         nodes = self.spaces.q_nodes
-        return _hat_means(table, cell, weights, unit, area, nodes, nodes.max() + 1, BACKGROUND)
+        return _hat_means(table, cell, weights, unit, area, nodes, self._vertices, BACKGROUND)
 
     def _values(self, kind, column, hats, x, cell, unit, area):
         if kind == "hat":

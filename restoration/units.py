@@ -8,6 +8,7 @@ from decimal import Decimal
 from restoration.words import hint, listed, quoted
 
 YEAR = 365.25 * 86400.0  # s
+MYR = 1e6 * YEAR
 
 # The SI value of every unit; the everyday one comes first.
 UNITS = {

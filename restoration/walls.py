@@ -16,7 +16,7 @@ def wall_of(name, entry):
     values = tuple(None if value is None else value.si for value in entry.values)
     if entry.kind == "velocity":
         return Wall("velocity", values, zero)
-    return Wall("traction", (None, None), tuple(value or 0.0 for value in values))
+    return Wall("traction", (None, None), values)
 
 
 def loose(walls):

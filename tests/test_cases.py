@@ -1,12 +1,13 @@
 """Every shipped case is an example and a test: it runs coarse, forward or backward."""
 
 import json
+import time
 from pathlib import Path
 
 import pytest
 
 from restoration.cli import main
-from restoration.resolve import load_scene
+from restoration.resolve import load
 
 ROOT = Path(__file__).parents[1]
 CASES = sorted(ROOT.glob("cases/*/*.yaml"))
@@ -36,8 +37,7 @@ def test_case_runs_coarse(path, tmp_path):
 
 @pytest.mark.parametrize("path", CASES, ids=names)
 def test_case_is_explained(path):
-    _, scene = load_scene(path)
-    assert scene.title
+    assert load(path).scene.title
     readme = (path.parent / "README.md").read_text(encoding="utf-8")
     assert path.name in readme
     pictures = [line for line in readme.splitlines() if line.startswith("![")]
@@ -55,7 +55,9 @@ def run(case, out, *overrides):
 @pytest.mark.slow
 def test_demo_comes_back(tmp_path):
     """The demo as `make demo` runs it, against the figures of the paper (its sect. 4.1)."""
+    begin = time.process_time()  # of this process: other work on the machine does not count
     record = run("cases/diapir-isoviscous/case.yaml", tmp_path / "run")
+    assert time.process_time() - begin < 120
     assert 8000 < record["cells"] < 9500
     assert 55_000 < record["particles"] < 66_000
     assert record["particles_lost"] == 0
@@ -64,5 +66,6 @@ def test_demo_comes_back(tmp_path):
     assert record["horizons"][0]["max_m"] < 50
     assert abs(record["area_change"]) < 1e-6
     assert all(abs(change) < 1e-3 for change in record["volume_by_rock_change"].values())
+    # as the fields see it at 6 Myr; below the horizon it is 1.3e-4 (docs/accuracy.md)
+    assert all(abs(change) < 4e-3 for change in record["volume_by_rock_largest_change"].values())
     assert record["factorisations"] == 1
-    assert record["wall_s"] < 120

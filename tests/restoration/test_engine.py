@@ -8,7 +8,6 @@ import pytest
 from restoration.diagnostics import (
     line_distances,
     relative_change,
-    speeds,
     there_and_back,
     volume_by_rock,
 )
@@ -30,7 +29,7 @@ def test_initial_velocity_meets_theory(ratio):
     scene = diapir_scene(cells=(32, 35), viscosity=(top / ratio, top), particles=plan)
     engine = StokesEngine(scene)
     state = engine.with_flow(engine.start())
-    rms, _ = speeds(engine, state.flow)
+    rms, _ = engine.speeds(state.flow)
     scale = (2600 - 2150) * 9.81 * HEIGHT**2 / top
     assert rms / scale == pytest.approx(INITIAL_RMS[ratio], rel=0.015)
 
@@ -65,6 +64,10 @@ def test_horizons_and_volumes_come_back(journey):
     assert sum(before.values()) == pytest.approx(WIDTH * HEIGHT)
     assert abs(relative_change(before, after)["salt"]) < 1e-3
     assert abs(relative_change(before, middle)["salt"]) < 1e-2  # 12 cells across
+
+
+def test_the_mesh_covers_the_box(journey):
+    assert journey[0].section.areas.sum() == pytest.approx(WIDTH * HEIGHT, rel=1e-12)
 
 
 def test_one_viscosity_takes_one_factorisation(journey):

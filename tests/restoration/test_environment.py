@@ -90,7 +90,6 @@ def test_numpy_2_stops_this_very_python_in_a_line(tmp_path):
     ("module", "advice"),
     [
         ("dolfinx", "Debian's python3-dolfinx;"),
-        ("gmsh", "Debian's python3-gmsh;"),
         ("numpy", "python3-numpy"),
         ("numba", "Python's numba; run 'make setup'"),
     ],

@@ -26,7 +26,7 @@ RELIEF = Outline(
 @pytest.fixture(scope="module")
 def index():
     section = section_mesh(RELIEF.surface, RELIEF.base, (20, 18))
-    return CellIndex(section.corners, section.neighbours)
+    return CellIndex(section)
 
 
 def cloud_at(x, unit=None):

@@ -8,7 +8,7 @@ import pytest
 from ruamel.yaml import YAML
 
 from restoration.errors import CaseError
-from restoration.resolve import load, load_scene
+from restoration.resolve import load
 from restoration.units import YEAR
 
 ROOT = Path(__file__).parents[2]
@@ -184,7 +184,7 @@ def test_a_cloud_of_particles(tmp_path):
     text = CASE[: CASE.index("  layers")] + "  particles: cloud.csv\n  vertical: down\n"
     text += "  coordinates: km\n" + CASE[CASE.index("rocks:") :]
     (tmp_path / "case.yaml").write_text(text)
-    _, scene = load_scene(tmp_path / "case.yaml")
+    scene = load(tmp_path / "case.yaml").scene
     np.testing.assert_array_equal(scene.cloud.x, [[1e3, -4e3], [1e3, -1e3], [3e3, -1e3]])
     names = [scene.units[row].name for row in scene.cloud.unit]
     assert names == ["salt", "shale", "shale"]

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from restoration.errors import CaseError, SolveError, StoppedError
+from restoration.errors import CaseError, OutputError, SolveError, StoppedError
 from restoration.output import RECORD
 from restoration.run import Job, StopRequest, march, next_time, run_job
 from restoration.saved import read_particles
@@ -142,6 +142,53 @@ def test_ctrl_c_ends_within_a_step_and_tells_how_far(tmp_path, monkeypatch):
     saved = read_particles(tmp_path / "run" / "particles.h5")
     assert len(saved.x) == written["particles"]
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
+def test_ctrl_c_on_a_step_that_wrote_a_frame(tmp_path, monkeypatch):
+    from restoration import recorder
+
+    row = recorder.Diagnostics.write
+
+    def interrupt(self, **values):
+        row(self, **values)
+        if values["step"] == 2:
+            os.kill(os.getpid(), signal.SIGINT)
+
+    monkeypatch.setattr(recorder.Diagnostics, "write", interrupt)
+    scene = diapir_scene(
+        cells=(8, 9), marks=(0, 0.5, 0), output=OutputPlan(2, ("velocity",), True, False, 1.0)
+    )
+    with pytest.raises(StoppedError, match="after 2 steps"):
+        run_job(job(tmp_path, scene))
+    assert json.loads((tmp_path / "run" / "run.json").read_text())["exit_code"] == 75
+
+
+def test_a_picture_that_cannot_be_written_is_no_good_end(tmp_path, monkeypatch):
+    from restoration import recorder
+
+    def full(*_):
+        raise OutputError("strip.png: the disk is full")
+
+    monkeypatch.setattr(recorder, "draw_strip", full)
+    with pytest.raises(OutputError):
+        run_job(job(tmp_path))
+    written = json.loads((tmp_path / "run" / "run.json").read_text())
+    assert written["ended_well"] is False
+    assert written["exit_code"] == 5
+
+
+def test_a_step_too_short_to_arrive_is_refused():
+    with pytest.raises(SolveError, match="the flow is so fast"):
+        march(FakeState(0), FakeEngine(1e-30), TimePlan((0, 10), "rk4", 1.0, 4))
+
+
+def test_files_of_the_user_survive_a_fresh_run(tmp_path):
+    run_job(job(tmp_path))
+    kept = [tmp_path / "run" / name for name in ("figures/mine.svg", "horizons/mine.geojson")]
+    for path in kept:
+        path.write_text("mine")
+    run_job(job(tmp_path, fresh=True))
+    assert all(path.read_text() == "mine" for path in kept)
 
 
 def test_a_second_ctrl_c_ends_at_once():

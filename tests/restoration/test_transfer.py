@@ -11,7 +11,7 @@ from restoration.transfer import RockFields, velocity_at
 @pytest.fixture(scope="module")
 def box():
     section = section_mesh(np.array([[0, 0], [1, 0.0]]), np.array([[0, -1], [1, -1.0]]), (6, 6))
-    return Spaces(section), CellIndex(section.corners, section.neighbours)
+    return Spaces(section), CellIndex(section)
 
 
 def scattered(index, n=4000, seed=0):
