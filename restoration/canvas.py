@@ -6,6 +6,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from restoration.page import DPI, INK, round_number, shorten
+from restoration.plan import counts_back
 from restoration.scene import Outline, Scene
 from restoration.units import YEAR, number
 
@@ -202,7 +203,7 @@ def unit_label(scene, unit):
 def time_text(scene, time, before=None):
     """Return a model time in words, such as ``t = 6.00 Myr`` or ``2.00 Ma (restored)``.
 
-    Where the marks go below 0 times count from today, elsewhere from the start. Runs that span
+    Where no mark is after today times are ages, elsewhere they count from the start. Runs that span
     less than 0.1 Myr are told in thousand years.
 
     Args:
@@ -212,12 +213,12 @@ def time_text(scene, time, before=None):
     """
     young = max(map(abs, scene.time.marks)) < 0.1e6 * YEAR
     size, span, age = (1e3 * YEAR, "kyr", "ka") if young else (1e6 * YEAR, "Myr", "Ma")
-    from_today = min(scene.time.marks) < 0
+    from_today = counts_back(scene)
     text = f"t = {time / size:.2f} {span}"
-    if from_today and time <= 0:
+    if from_today:
         text = f"{-time / size:.2f} {age}" if time else "today"
     if before is None:
-        before = 0.0
+        return text
     if time < before:
         return f"{text} (restored)"
     return f"{text} (forward)" if from_today and time > before else text

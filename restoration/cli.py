@@ -25,7 +25,7 @@ def main(arguments=None):
         print(error, file=sys.stderr)
         return error.exit_code
     except KeyboardInterrupt:
-        print("stopped at once; the run folder ends with the last whole frame", file=sys.stderr)
+        print("stopped at once", file=sys.stderr)
         return 130
     except MemoryError:
         print("out of memory; lower mesh.cells or particles.per_cell", file=sys.stderr)

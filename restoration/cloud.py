@@ -1,7 +1,5 @@
 """Particles that a case brings along: a CSV table, or the particles of an earlier run."""
 
-import csv
-
 import numpy as np
 
 from restoration.errors import CaseError, Fault
@@ -10,6 +8,7 @@ from restoration.words import hint, listed, quoted
 
 LARGEST = 500 * MB
 MOST_FAULTS = 20
+MOST_UNITS = 1000
 
 
 def read_cloud(path, shown, scale, sign):
@@ -29,8 +28,8 @@ def read_cloud(path, shown, scale, sign):
     """
     if path.suffix.lower() == ".h5":
         return _from_run(path, shown)
-    rows = list(csv.reader(read_text(path, shown, LARGEST).splitlines()))
-    header = [name.strip().casefold() for name in rows[0]]
+    text = read_text(path, shown, LARGEST).splitlines()
+    header = [name.strip().strip('"').casefold() for name in text[0].split(",")]
     kind = "unit" if "unit" in header else "rock"
     lost = [name for name in ("x", "z", kind) if name not in header]
     if lost:
@@ -38,29 +37,48 @@ def read_cloud(path, shown, scale, sign):
         message = f"{found}; columns x, z and unit are needed{hint(lost[0], header)}"
         raise CaseError([Fault(shown, 1, None, "", message)])
     columns = [header.index(name) for name in ("x", "z", kind)]
-    x, names, faults = [], [], []
-    for number, row in enumerate(rows[1:], start=2):
-        if not any(field.strip() for field in row):
+    if not any(line.strip() for line in text[1:]):
+        raise CaseError([Fault(shown, None, None, "", "holds no particle")])
+    try:
+        table = np.loadtxt(
+            text[1:],
+            dtype=str,
+            delimiter=",",
+            usecols=columns,
+            ndmin=2,
+            quotechar='"',
+            comments=None,
+        )
+        x = table[:, :2].astype(float)
+        names = np.char.strip(table[:, 2])
+        if not np.isfinite(x).all() or (names == "").any():
+            raise ValueError
+    except ValueError:
+        raise CaseError(_row_faults(text, columns, shown)) from None
+    known, unit = np.unique(names, return_inverse=True)
+    if len(known) > MOST_UNITS:
+        message = f"names {len(known)} units, at most {MOST_UNITS} are possible"
+        raise CaseError([Fault(shown, None, None, "", message)])
+    return x * (scale, scale * sign), unit.astype(np.int16), tuple(map(str, known))
+
+
+def _row_faults(text, columns, shown):
+    """Return the faults of the rows of a table that could not be read."""
+    faults = []
+    for number, line in enumerate(text[1:], start=2):
+        if not line.strip():
             continue
+        fields = [field.strip().strip('"') for field in line.split(",")]
         try:
-            values = [row[column].strip() for column in columns]
-            point = float(values[0]), float(values[1])
-            if not np.isfinite(point).all() or not values[2]:
+            values = [fields[column] for column in columns]
+            if not np.isfinite([float(values[0]), float(values[1])]).all() or not values[2]:
                 raise ValueError
         except (ValueError, IndexError):
-            message = f"{quoted(','.join(row))} is not a finite x, a finite z and a unit"
+            message = f"{quoted(line)} is not a finite x, a finite z and a unit"
             faults.append(Fault(shown, number, None, "", message))
             if len(faults) == MOST_FAULTS:
                 break
-            continue
-        x.append(point)
-        names.append(values[2])
-    if not x and not faults:
-        faults.append(Fault(shown, None, None, "", "holds no particle"))
-    if faults:
-        raise CaseError(faults)
-    known, unit = np.unique(names, return_inverse=True)
-    return np.array(x) * (scale, scale * sign), unit.astype(np.int16), tuple(map(str, known))
+    return faults or [Fault(shown, None, None, "", "is not a table of x, z and unit")]
 
 
 def _from_run(path, shown):
@@ -68,7 +86,16 @@ def _from_run(path, shown):
     from restoration.saved import read_particles
 
     saved = read_particles(path)
-    names = saved.attributes.get("unit_names")
-    if names is None or "unit" not in saved.data:
-        raise CaseError([Fault(shown, None, None, "", "holds no particles of a run")])
-    return saved.x[:, :2], saved.data["unit"].astype(np.int16), tuple(map(str, names))
+    attributes = saved.attributes if isinstance(saved.attributes, dict) else {}
+    names, unit = attributes.get("unit_names"), saved.data.get("unit")
+    if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
+        raise CaseError([Fault(shown, None, None, "", "does not name its units")])
+    if unit is None or unit.ndim != 1 or not np.issubdtype(unit.dtype, np.integer):
+        raise CaseError([Fault(shown, None, None, "", "has no unit for its particles")])
+    if not len(unit) or unit.min() < 0 or unit.max() >= len(names):
+        message = f"its particles are not all of its {len(names)} units"
+        raise CaseError([Fault(shown, None, None, "", message)])
+    if not np.isfinite(saved.x).all():
+        raise CaseError([Fault(shown, None, None, "", "has particles that are nowhere")])
+    present, unit = np.unique(unit, return_inverse=True)
+    return saved.x[:, :2], unit.astype(np.int16), tuple(names[row] for row in present)

@@ -46,6 +46,11 @@ def active(scene):
     return parts
 
 
+def counts_back(scene):
+    """Return whether model times are ages: the marks are today and before."""
+    return max(scene.time.marks) <= 0
+
+
 def time_label(scene, time):
     """Return a model time for a line of text: an age where the marks count back from today.
 
@@ -53,5 +58,4 @@ def time_label(scene, time):
         scene: whose marks tell which.
         time: model time, s.
     """
-    back = max(scene.time.marks) <= 0
-    return show(-time if time else 0.0, "age") if back else show(time, "time")
+    return show(-time if time else 0.0, "age") if counts_back(scene) else show(time, "time")

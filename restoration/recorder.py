@@ -21,7 +21,7 @@ from restoration.output import (
     write_lines,
     write_record,
 )
-from restoration.plan import time_label
+from restoration.plan import counts_back, time_label
 from restoration.units import MYR, show
 from restoration.writing import disk_faults
 
@@ -127,8 +127,8 @@ class Recorder:
         self._marks.append(replace(state, flow=None))  # a flow is large, and not compared
         self._frame(state)
         myr = state.time / MYR
-        restored = max(self.scene.time.marks) <= 0
-        name = f"{number}-{abs(myr):.3f}Ma" if restored else f"{number}-{myr:.3f}Myr"
+        ages = counts_back(self.scene)
+        name = f"{number}-{abs(myr):.3f}Ma" if ages else f"{number}-{myr:.3f}Myr"
         about = {"mark": number, "model_time_Myr": state.time / MYR}
         write_lines(self.folder / "horizons" / f"{name}.geojson", state.lines, about)
         draw_section(

@@ -47,10 +47,22 @@ def find_source(case, path, tree, allow_outside):
         message = f"there is no file '{name}' beside the case{near_file(source)}"
         raise CaseError([tree.fault(at, message)])
     try:
-        with open(source, "rb") as file:
-            return source, hashlib.file_digest(file, "sha256").hexdigest()
+        digest = hashlib.sha256()
+        for part in _files_of(source):
+            with open(part, "rb") as file:
+                digest.update(hashlib.file_digest(file, "sha256").digest())
+        return source, digest.hexdigest()
     except OSError as error:
         raise CaseError([tree.fault(at, f"'{name}' cannot be read: {error.strerror}")]) from None
+
+
+def _files_of(source):
+    """Return the files that hold a source: the particles of a run may go on in more than one."""
+    if source.suffix.lower() != ".h5":
+        return [source]
+    from restoration.saved import parts
+
+    return list(parts(source))
 
 
 def from_layers(case, tree):
