@@ -40,15 +40,8 @@ def read_cloud(path, shown, scale, sign):
     if not any(line.strip() for line in text[1:]):
         raise CaseError([Fault(shown, None, None, "", "holds no particle")])
     try:
-        table = np.loadtxt(
-            text[1:],
-            dtype=str,
-            delimiter=",",
-            usecols=columns,
-            ndmin=2,
-            quotechar='"',
-            comments=None,
-        )
+        form = {"dtype": str, "delimiter": ",", "quotechar": '"', "comments": None, "ndmin": 2}
+        table = np.loadtxt(text[1:], usecols=columns, **form)
         x = table[:, :2].astype(float)
         names = np.char.strip(table[:, 2])
         if not np.isfinite(x).all() or (names == "").any():
