@@ -20,7 +20,9 @@ def main(arguments=None):
         for warning in check_environment():
             print(f"warning: {warning}", file=sys.stderr)
         use_numba_cache()
-        return options.command(options)
+        code = options.command(options)
+        sys.stdout.flush()
+        return code
     except RestorationError as error:
         print(error, file=sys.stderr)
         return error.exit_code
@@ -33,6 +35,10 @@ def main(arguments=None):
     except BrokenPipeError:  # the reader of our output has gone: `restore check ... | head`
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 1
+    except OSError as error:
+        print(f"{error.filename or 'output'}: {error.strerror}", file=sys.stderr)
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # what is not flushed yet
+        return 5
 
 
 def _parser():
@@ -92,20 +98,21 @@ def _run(options):
             f"{options.case}: is a section, not a case; `restore check {options.case}` prints a "
             "case to start from"
         )
-    loaded = _load(options)
     from restoration.progress import Progress
-    from restoration.run import Job, run_job
+    from restoration.run import Job, StopRequest, run_job
 
-    for note in loaded.scene.notes:
-        print(f"note: {note}", file=sys.stderr)
-    use_jit_cache()
-    path = Path(options.case).absolute()
-    job = Job(path, loaded.text, loaded.resolved, loaded.scene, options.out, options.fresh)
-    record, folder = run_job(job, None if options.quiet else Progress())
+    with StopRequest() as stop:  # already here: a Ctrl-C while a library loads would break it
+        loaded = _load(options)
+        for note in loaded.scene.notes:
+            print(f"note: {note}", file=sys.stderr)
+        use_jit_cache()
+        path = Path(options.case).absolute()
+        job = Job(path, loaded.text, loaded.resolved, loaded.scene, options.out, options.fresh)
+        record, folder = run_job(job, None if options.quiet else Progress(), stop)
     if record is None:
         print(f"{folder} holds this very run, and it ended well; --fresh runs it again")
-        return 0
-    print(summary(record, folder))
+    else:
+        print(summary(record, folder))
     return 0
 
 

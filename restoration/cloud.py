@@ -34,7 +34,8 @@ def read_cloud(path, shown, scale, sign):
     lost = [name for name in ("x", "z", kind) if name not in header]
     if lost:
         found = f"the first line names {listed(header, last='and')}"
-        message = f"{found}; columns x, z and unit are needed{hint(lost[0], header)}"
+        near = "; separate them by commas" if ";" in text[0] else hint(lost[0], header)
+        message = f"{found}; columns x, z and unit are needed{near}"
         raise CaseError([Fault(shown, 1, None, "", message)])
     columns = [header.index(name) for name in ("x", "z", kind)]
     if not any(line.strip() for line in text[1:]):

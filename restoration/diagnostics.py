@@ -4,6 +4,7 @@ import numpy as np
 import shapely
 
 from restoration.lines import as_drawn
+from restoration.particles import OUTSIDE
 
 LEAST = 1e-6  # m, shorter distances count as this in the histogram
 LOG_BINS = np.arange(-6, 6.5, 0.5)  # log10 of m
@@ -16,15 +17,18 @@ def there_and_back(particles):
         particles: `Particles` of a run that has returned to the time it started from.
 
     Returns:
-        Distances, shape (n,), m, NaN for particles that were born later; and their mean, 99th
-        percentile and maximum as a dict of ``mean_m``, ``p99_m``, ``max_m``.
+        Distances, shape (n,), m, NaN for particles that were born later or are lost; and their
+        mean, 99th percentile and maximum as a dict of ``mean_m``, ``p99_m``, ``max_m``.
     """
     distance = np.linalg.norm(particles.x - particles.start, axis=1)
+    distance[particles.cell == OUTSIDE] = np.nan
     return distance, summary(distance[~np.isnan(distance)])
 
 
 def summary(distance):
-    """Return mean, 99th percentile and maximum of distances, m."""
+    """Return mean, 99th percentile and maximum of distances, m; None of none."""
+    if not len(distance):
+        return {"mean_m": None, "p99_m": None, "max_m": None}
     return {
         "mean_m": float(distance.mean()),
         "p99_m": float(np.percentile(distance, 99)),

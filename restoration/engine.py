@@ -102,6 +102,7 @@ class StokesEngine:
             "refinements": counts.refinements,
             "worst_residual": counts.worst_residual,
             "particles_born": self.born,
+            "wall_leak_m2_per_s": self.stokes.leak,
             "wall_by_part_s": {part: round(s, 3) for part, s in self.seconds.items()},
         }
 

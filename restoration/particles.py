@@ -33,6 +33,11 @@ class Particles:
     cell: np.ndarray
 
     @property
+    def inside(self):
+        """Which particles are in the mesh, shape (n,), bool."""
+        return self.cell != OUTSIDE
+
+    @property
     def lost(self):
         """Number of particles that are outside the mesh."""
         return int(np.count_nonzero(self.cell == OUTSIDE))

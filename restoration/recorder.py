@@ -113,7 +113,8 @@ class Recorder:
         )
         self._tell(state, dt)
         at = self.scene.output.at
-        if at != "marks" and self.steps % at == 0 and state.time not in self.scene.time.marks:
+        arrived = state.time == self.scene.time.marks[len(self._marks)]  # the mark writes its own
+        if at != "marks" and self.steps % at == 0 and not arrived:
             self._frame(state)
         self._output_s += time.perf_counter() - begin
 
@@ -214,6 +215,7 @@ class Recorder:
                 "rock": rock,
                 "area": particles.area,
                 "displacement": distance,
+                "lost": (~particles.inside).astype(np.int16),
             }
             self.cloud.write(self.elapsed, particles.x, data, state.time)
 
@@ -231,7 +233,7 @@ class Recorder:
             draw_there_and_back(
                 figures / "there-and-back.png",
                 self.scene,
-                last.particles.start,
+                np.where(last.particles.inside[:, None], last.particles.start, np.nan),
                 last.particles.x,
                 last.particles.unit,
                 first.lines,

@@ -26,7 +26,7 @@ from restoration.scene import (
     Transfer,
     Unit,
 )
-from restoration.shapes import find_source, from_file, from_layers
+from restoration.shapes import find_source, from_file, from_layers, on_columns
 from restoration.units import Quantity
 from restoration.walls import loose, unbalanced, wall_of
 from restoration.words import listed
@@ -75,12 +75,13 @@ def load(path, overrides=(), allow_outside=False):
         tree.fault(("boundary",), text) for text in loose(walls) + unbalanced(walls, shape.outline)
     ]
     cells = _cells(case, shape.outline)
+    outline, cut = on_columns(shape.outline, cells[0])
     faults += _too_large(case, cells, tree)
     if faults:
         raise CaseError(faults)
     used = [name for name in case.rocks if name in shape.rocks]
     unused = [name for name in case.rocks if name not in shape.rocks]
-    notes = list(shape.notes)
+    notes = [*shape.notes, *cut]
     if unused:
         notes.append(f"rocks not in the section: {listed(unused, last='and')}")
     colors = unit_colors(
@@ -88,7 +89,7 @@ def load(path, overrides=(), allow_outside=False):
     )
     scene = Scene(
         title=case.title or _title(path),
-        outline=shape.outline,
+        outline=outline,
         rocks=tuple(
             Rock(name, case.rocks[name].density.si, case.rocks[name].viscosity.si, color)
             for name, color in zip(used, colors[0], strict=True)

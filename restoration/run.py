@@ -3,9 +3,13 @@
 `march` knows no physics and no files; what is written is a task it calls.
 """
 
+import fcntl
 import hashlib
 import json
+import os
 import signal
+import tempfile
+from contextlib import contextmanager
 from dataclasses import dataclass
 from math import ceil
 from pathlib import Path
@@ -166,6 +170,22 @@ def _clear(folder):
             path.unlink()
 
 
+@contextmanager
+def locked(folder):
+    """Keep other runs out of a run folder as long as this one works in it.
+
+    Raises:
+        CaseError: another run is at work in it.
+    """
+    name = hashlib.sha256(str(folder.absolute()).encode()).hexdigest()[:16]
+    with open(Path(tempfile.gettempdir()) / f"restore-{os.getuid()}-{name}.lock", "w") as lock:
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise CaseError(f"{folder}: another run is at work in it; give another --out") from None
+        yield
+
+
 class StopRequest:
     """Turns Ctrl-C and SIGTERM into a wish that is granted after the step.
 
@@ -174,14 +194,18 @@ class StopRequest:
 
     def __init__(self):
         self.wanted = False
+        self._before = {}
 
     def __enter__(self):
+        if self._before:
+            return self
         self._before = {s: signal.signal(s, self._ask) for s in (signal.SIGINT, signal.SIGTERM)}
         return self
 
     def __exit__(self, *_):
         for number, handler in self._before.items():
             signal.signal(number, handler)
+        self._before = {}
 
     def _ask(self, number, _frame):
         if self.wanted and number == signal.SIGINT:
@@ -194,12 +218,13 @@ class StopRequest:
             raise StoppedError("stopped on request")
 
 
-def run_job(job, progress=None):
+def run_job(job, progress=None, stop=None):
     """Run a job: set up, march, write; leave the record whatever happens.
 
     Args:
         job: `Job`.
         progress: `Progress` to tell the user; None is silent.
+        stop: a `StopRequest` that listens already; None makes one for the run.
 
     Returns:
         The record (a dict) and the run folder. The record of an earlier run that ended well is
@@ -208,16 +233,17 @@ def run_job(job, progress=None):
     Raises:
         RestorationError: with the exit code; the folder then holds what was reached.
     """
-    folder = prepare_folder(job)
-    if folder is None:
-        return None, job.folder
-    from restoration.recorder import Recorder  # loads dolfinx: only a run needs it
+    with stop or StopRequest() as stop, locked(job.folder):
+        folder = prepare_folder(job)
+        if folder is None:
+            return None, job.folder
+        stop.check()
+        from restoration.recorder import Recorder  # loads dolfinx: only a run needs it
 
-    with StopRequest() as stop:
         recorder = Recorder(job, folder, progress)
         try:
-            stop.check()
             recorder.begin()
+            stop.check()
             march(
                 recorder.engine.start(),
                 recorder.engine,

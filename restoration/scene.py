@@ -237,12 +237,29 @@ class Scene:
         """Whether one viscosity fills the whole section, so that one factorisation serves."""
         return len(set(self.unit_viscosity.tolist())) == 1
 
+    def normal_velocity(self, name):
+        """Return the velocity across a wall, m/s: 0, another number, or None where it is free.
+
+        One component across an inclined wall does not hold u.n; free-slip does, and no-slip.
+        """
+        wall, across = self.walls[name], NORMAL[name]
+        line = {"surface": self.outline.surface, "base": self.outline.base}.get(name)
+        level = line is None or np.ptp(line[:, 1]) == 0
+        if wall.kind == "free-slip" or level or None not in wall.velocity:
+            return wall.velocity[across] if level or wall.kind == "free-slip" else _most(wall)
+        return None
+
     @property
     def closed(self):
         """Whether the normal velocity is held on every wall, so that pressure floats."""
-        return all(self.walls[name].velocity[NORMAL[name]] is not None for name in WALLS)
+        return all(self.normal_velocity(name) is not None for name in WALLS)
 
     @property
     def sealed(self):
         """Whether no rock crosses any wall."""
-        return all(self.walls[name].velocity[NORMAL[name]] == 0 for name in WALLS)
+        return all(self.normal_velocity(name) == 0 for name in WALLS)
+
+
+def _most(wall):
+    """Return the largest component of a wall that holds both."""
+    return max(wall.velocity, key=abs)

@@ -23,7 +23,7 @@ def seed_points(scene):
     up, across = share.shape
     share = share.ravel()
     k, i = np.divmod(np.repeat(np.arange(share.size), share), across)
-    within = np.where(share > 1, 1, 0)[k * across + i, None] * (_r2_sequence(share) - 0.5) + 0.5
+    within = _r2_sequence(share)
     spread = plan.jitter / np.sqrt(share[k * across + i])[:, None]
     within = np.clip(within + spread * (rng.random(within.shape) - 0.5), 0, 1 - 1e-9)
     fraction = (np.column_stack([i, k]) + within) / (across, up)
@@ -73,12 +73,22 @@ def _to_section(outline, fraction):
 
 
 def _r2_sequence(share):
-    """Return points of low discrepancy in the unit square, numbered from 0 in every square.
+    """Return points of low discrepancy in the unit square, ``share`` of them for every square.
 
+    Each pattern is moved to have its mean in the middle: a pattern that lies low in all squares
+    would lift every contact.
     Source: the additive recurrence with the plastic number, the two-dimensional analogue of the
     golden ratio.
     """
-    first = np.r_[0, np.cumsum(share)[:-1]]
-    number = np.arange(share.sum()) - np.repeat(first, share)
     plastic = 1.324717957244746
-    return (0.5 + (number[:, None] + 1) * np.array([1 / plastic, 1 / plastic**2])) % 1
+    patterns = {}
+    for count in np.unique(share):
+        points = (0.5 + np.arange(1, count + 1)[:, None] / (plastic, plastic**2)) % 1
+        points -= points.mean(axis=0)
+        patterns[count] = 0.5 + points * min(1.0, 0.499 / max(np.abs(points).max(), 1e-9))
+    first = np.r_[0, np.cumsum(share)[:-1]]
+    within = np.empty((share.sum(), 2))
+    for count, points in patterns.items():
+        rows = first[share == count][:, None] + np.arange(count)
+        within[rows] = points
+    return within

@@ -56,6 +56,35 @@ def find_source(case, path, tree, allow_outside):
         raise CaseError([tree.fault(at, f"'{name}' cannot be read: {error.strerror}")]) from None
 
 
+def on_columns(outline, columns):
+    """Return the outline as the columns of a mesh carry it, and a note where that cuts off much.
+
+    Args:
+        outline: as drawn.
+        columns: of the mesh.
+    """
+    x = np.linspace(outline.surface[0, 0], outline.surface[-1, 0], columns + 1)
+    carried = Outline(*(_sampled(line, x) for line in (outline.surface, outline.base)))
+    off = carried.area / outline.area - 1
+    relief = max(
+        np.abs(np.interp(line[:, 0], *other.T) - line[:, 1]).max()
+        for line, other in ((outline.surface, carried.surface), (outline.base, carried.base))
+    )
+    if abs(off) < 1e-3 and relief < 1e-2 * outline.height:
+        return carried, []
+    return carried, [
+        f"the {columns} columns of the mesh cut off up to {show(relief, 'length')} of the relief "
+        f"of surface or base ({off:+.2%} of the area); raise mesh.cells to keep it"
+    ]
+
+
+def _sampled(line, x):
+    """Return a line at columns; a level one stays as it is."""
+    if np.ptp(line[:, 1]) == 0:
+        return line
+    return np.column_stack([x, np.interp(x, *line.T)])
+
+
 def _files_of(source):
     """Return the files that hold a source: the particles of a run may go on in more than one."""
     if source.suffix.lower() != ".h5":

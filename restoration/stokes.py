@@ -66,6 +66,10 @@ class StokesProblem:
         gravity: downwards, m/s^2.
         closed: whether the normal velocity is held on every wall.
         steady: whether the viscosity never changes, so that one factorisation serves.
+
+    Attributes:
+        counts: what was done so far.
+        leak: flux out of the walls that the section makes up for by swelling, m^2/s.
     """
 
     def __init__(self, section, spaces, rho, eta, eta0, walls, gravity, closed, steady):
@@ -76,10 +80,12 @@ class StokesProblem:
         self.length = float(np.sqrt(section.areas.mean()))
         self.bcs = velocity_conditions(walls, section, spaces)
         leak = fem.Constant(section.mesh, PETSc.ScalarType(0))
+        self.leak = 0.0
         if closed:
             # The walls as the mesh interpolates them may let a little more in than out, which no
             # divergence-free flow can meet: spread over the section it does not spoil the pin.
-            leak.value = self._prescribed_outflow(walls) / section.areas.sum()
+            self.leak = self._prescribed_outflow(walls)
+            leak.value = self.leak / section.areas.sum()
             self.bcs = [*self.bcs, pressure_pin(spaces)]
         self._make_forms(rho, eta, walls, gravity, leak)
         self.A = fem.petsc.create_matrix(self.a)

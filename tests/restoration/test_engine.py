@@ -63,7 +63,7 @@ def test_horizons_and_volumes_come_back(journey):
     before, middle, after = (volume_by_rock(engine, s.particles) for s in (first, top, last))
     assert sum(before.values()) == pytest.approx(WIDTH * HEIGHT)
     assert abs(relative_change(before, after)["salt"]) < 1e-3
-    assert abs(relative_change(before, middle)["salt"]) < 1e-2  # 12 cells across
+    assert abs(relative_change(before, middle)["salt"]) < 2e-2  # 12 cells across
 
 
 def test_the_mesh_covers_the_box(journey):
@@ -159,3 +159,16 @@ def test_the_papers_projection_runs_too(density):
     last = march(engine.start(), engine, scene.time)
     assert there_and_back(last.particles)[1]["mean_m"] < 100
     assert engine.counts.factorisations == engine.counts.solves
+
+
+def test_an_inclined_wall_held_in_one_component_is_no_closed_wall():
+    top = np.array([[0, 0], [WIDTH, 400.0]])
+    base = np.array([[0, -HEIGHT], [WIDTH, -HEIGHT]])
+    held = Wall("velocity", (None, 0.0), (0.0, 0.0))
+    walls = diapir_scene().walls | {"surface": held}
+    assert diapir_scene(walls=walls).closed
+    inclined = diapir_scene(walls=walls, outline=Outline(top, base))
+    assert not inclined.closed
+    assert not inclined.sealed
+    slip = Wall("free-slip", (None, 0.0), (0.0, 0.0))
+    assert diapir_scene(walls=walls | {"surface": slip}, outline=Outline(top, base)).sealed

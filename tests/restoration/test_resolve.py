@@ -1,5 +1,6 @@
 """From a case to a scene: SI, names to rows, walls, and the resolved case that is a case again."""
 
+import json
 import shutil
 from pathlib import Path
 
@@ -224,3 +225,28 @@ def test_no_file_outside_the_folder_is_opened(tmp_path, name):
     (folder / "case.yaml").write_text(text)
     with pytest.raises(CaseError, match="--allow-outside"):
         load(folder / "case.yaml")
+
+
+def test_the_outline_is_that_of_the_mesh_and_what_it_cuts_off_is_told(tmp_path):
+    """A sawtooth surface of 100 m: ten columns cannot carry it, a hundred can."""
+    x = np.arange(0, 4001, 200)
+    top = [[float(a), -100.0 * (i % 2)] for i, a in enumerate(x)]
+    ring = [[0, -2000], [4000, -2000], *top[::-1], [0, -2000]]
+    feature = {
+        "type": "Feature",
+        "properties": {"unit": "salt"},
+        "geometry": {"type": "Polygon", "coordinates": [ring]},
+    }
+    collection = {"type": "FeatureCollection", "features": [feature]}
+    (tmp_path / "s.geojson").write_text(json.dumps(collection))
+    (tmp_path / "case.yaml").write_text(
+        "section: {file: s.geojson}\n"
+        "rocks: {salt: {density: 2160 kg/m^3, viscosity: 1e17 Pa s}}\n"
+        "time: {marks: [0 Ma, 1 Ma]}\n"
+    )
+    coarse = load(tmp_path / "case.yaml", ["mesh.cells=[10, 5]"]).scene
+    assert len(coarse.outline.surface) == 11
+    assert any("cut off up to 100 m of the relief" in note for note in coarse.notes)
+    fine = load(tmp_path / "case.yaml", ["mesh.cells=[100, 5]"]).scene
+    assert not fine.notes
+    assert fine.outline.area == pytest.approx(4000 * 1950, rel=1e-9)

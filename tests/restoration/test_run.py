@@ -11,9 +11,9 @@ import pytest
 
 from restoration.errors import CaseError, OutputError, SolveError, StoppedError
 from restoration.output import RECORD
-from restoration.run import Job, StopRequest, march, next_time, run_job
+from restoration.run import Job, StopRequest, locked, march, next_time, run_job
 from restoration.saved import read_particles
-from restoration.scene import OutputPlan, TimePlan
+from restoration.scene import OutputPlan, TimePlan, Wall
 from tests.restoration.conftest import MYR, diapir_scene
 
 
@@ -129,6 +129,7 @@ def test_ctrl_c_ends_within_a_step_and_tells_how_far(tmp_path, monkeypatch):
         if values["step"] == 3:
             os.kill(os.getpid(), signal.SIGINT)
 
+    before = signal.getsignal(signal.SIGINT)
     monkeypatch.setattr(recorder.Diagnostics, "write", interrupt)
     with pytest.raises(StoppedError, match=r"at 300 kyr after 3 steps \(30 % of the way\)"):
         run_job(job(tmp_path))
@@ -141,7 +142,7 @@ def test_ctrl_c_ends_within_a_step_and_tells_how_far(tmp_path, monkeypatch):
     assert len((tmp_path / "run" / "diagnostics.csv").read_text().splitlines()) == 4
     saved = read_particles(tmp_path / "run" / "particles.h5")
     assert len(saved.x) == written["particles"]
-    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    assert signal.getsignal(signal.SIGINT) is before
 
 
 def test_ctrl_c_on_a_step_that_wrote_a_frame(tmp_path, monkeypatch):
@@ -219,6 +220,19 @@ def test_a_finished_run_is_not_run_again(tmp_path):
     assert record["ended_well"]
 
 
+def test_rock_that_left_is_counted_and_not_averaged(tmp_path):
+    speed = 1e-3 / 31557600
+    walls = diapir_scene().walls | {
+        "right": Wall("velocity", (speed, None), (0.0, 0.0)),
+        "surface": Wall("traction", (None, None), (0.0, 0.0)),
+    }
+    scene = diapir_scene(cells=(8, 9), marks=(0, 0.3, 0), walls=walls)
+    record, _ = run_job(job(tmp_path, scene))
+    assert record["particles_lost"] > 0
+    assert record["there_and_back"]["max_m"] < 500
+    assert sum(record["there_and_back"]["histogram"]["count"]) < record["particles"]
+
+
 def test_other_folders_are_left_alone(tmp_path):
     (tmp_path / "run").mkdir()
     (tmp_path / "run" / "thesis.tex").write_text("years of work")
@@ -232,6 +246,11 @@ def test_a_run_of_another_case_is_not_overwritten(tmp_path):
     run_job(job(tmp_path))
     with pytest.raises(CaseError, match="holds the run of another case"):
         run_job(job(tmp_path, resolved="resolved: 2\n"))
+
+
+def test_two_runs_do_not_share_a_folder(tmp_path):
+    with locked(tmp_path / "run"), pytest.raises(CaseError, match="another run is at work"):
+        run_job(job(tmp_path))
 
 
 def test_folder_name_follows_the_case():
