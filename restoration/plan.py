@@ -38,7 +38,7 @@ def active(scene):
         + ("one flow for each step" if frozen else "Stokes solved at every stage")
     )
     if not scene.sealed:
-        parts.append("particles born where rock flows in")
+        parts.append("particles born where rock flows in; rock that flows out does not come back")
     parts.append(
         f"density by {scene.transfer.density}, viscosity by {scene.transfer.viscosity} "
         f"({scene.transfer.mean} mean)"
