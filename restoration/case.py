@@ -1,6 +1,5 @@
 """The case file: read, and all its faults told at once, each with its place."""
 
-from dataclasses import replace
 from pathlib import Path
 
 from pydantic import BaseModel, ValidationError
@@ -55,14 +54,9 @@ def read_case(path, overrides=()):
     faults += _cross_faults(tree)
     if faults:
         placed = sorted(faults, key=lambda f: (f.line is None, f.line or 0, f.column or 0))
-        placed = [_without_echo(fault) for fault in dict.fromkeys(placed)]
+        placed = list(dict.fromkeys(placed))
         raise CaseError(shortened(placed))
     return case, text, tree
-
-
-def _without_echo(fault):
-    """Return a fault of ``--set a.b`` without the entry a.b once more."""
-    return replace(fault, entry="") if fault.file == f"--set {fault.entry}" else fault
 
 
 def _told(tree, errors):

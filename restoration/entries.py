@@ -120,10 +120,16 @@ class WallEntry(Entry):
     values: tuple[Quantity | None, Quantity | None] | None = None
 
 
+WALL_EXAMPLES = {
+    "velocity": "{velocity: [10 mm/yr, free]}",
+    "traction": "{traction: [0 MPa, -5 MPa]}",
+}
+
+
 def read_wall(value):
     """Return a wall from a word, or from {velocity: [..]} or {traction: [..]}."""
     kinds = ("no-slip", "free-slip")
-    groups = "{velocity: [10 mm/yr, free]} and {traction: [0 MPa, -5 MPa]}"
+    groups = listed(WALL_EXAMPLES.values(), last="and")
     if isinstance(value, str):
         if value not in (*kinds, "free"):  # which _cross_faults refuses with more to say
             near = hint(value, kinds)
@@ -135,7 +141,8 @@ def read_wall(value):
     if kind not in ("velocity", "traction"):
         raise ValueError(f"'{kind}' is no kind of wall{hint(kind, ('velocity', 'traction'))}")
     if not isinstance(pair, list) or len(pair) != 2:
-        raise ValueError(f"{kind} takes a value along x and one along z, such as {groups}")
+        such = WALL_EXAMPLES[kind]
+        raise ValueError(f"{kind} takes a value along x and one along z, such as {such}")
     unit = "velocity" if kind == "velocity" else "pressure"
     values = tuple(None if entry == "free" else parse(entry, unit) for entry in pair)
     for found in values:

@@ -58,8 +58,9 @@ class Tree:
         for length in range(len(path), -1, -1):
             for table in places:
                 if path[:length] in table:
-                    place = table[path[:length]]
-                    return Fault(place.file, place.line, place.column, dotted(path), message)
+                    place, entry = table[path[:length]], dotted(path)
+                    entry = "" if place.file == f"--set {entry}" else entry  # told already
+                    return Fault(place.file, place.line, place.column, entry, message)
         return Fault(self.file, None, None, dotted(path), message)
 
     def raw(self, path):
