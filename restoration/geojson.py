@@ -188,7 +188,13 @@ def _judge(drawing, known, unit_property, rock_property):
         what = "is empty on all polygons" if wanted in known else "is on none of the polygons"
         others = [name for name in known if name != wanted and known[name]]
         advice = f"{hint(wanted, others)}; name it as '{entry}' in 'section' of the case"
-        advice = advice if others else "; fill in the name of every polygon's unit"
+        if not others:
+            filled = "fill in the names"
+            advice = (
+                f"; {filled}"
+                if wanted in known
+                else f"; they have no properties: add it and {filled}"
+            )
         drawing.problems = [fault for fault in drawing.problems if fault not in nameless]
         drawing.refuse("", f"the property '{wanted}' {what}{advice}")
     if not drawing.patches and not drawing.problems:
