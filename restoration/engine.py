@@ -188,6 +188,8 @@ class StokesEngine:
                 with_points(state.lines, x[n:]),
                 self.cell_size / LINE_POINTS_PER_CELL,
                 self.cell_size / LINE_POINTS_PER_CELL_AT_TURNS,
+                until,
+                dt,
             )
         return State(until, particles, lines)
 

@@ -12,8 +12,6 @@ SHARP_TURN = 0.2
 # chord by no more than this part of it (a half circle leaves it by 0.5, a turn of 1 rad by 0.12).
 MOST_UNEVEN = 5.0
 MOST_SAGITTA = 0.15
-# Added vertices go where drawn ones are back within this part of their distance at the start.
-RETURNED = 1.1
 
 
 @dataclass(frozen=True, eq=False)
@@ -21,12 +19,12 @@ class MovingLine(Line):
     """A line with the vertices it was drawn with, and those added where it stretched.
 
     Attributes:
-        drawn: which vertices were there at the start, shape (n,), bool.
-        spacing: distances between those at the start, shape (drawn vertices - 1,), m.
+        added: model time at which a vertex was added, shape (n,), s; NaN of a drawn one.
+        way: sign of the step that added it, shape (n,), int8; 0 of a drawn one.
     """
 
-    drawn: np.ndarray
-    spacing: np.ndarray
+    added: np.ndarray
+    way: np.ndarray
 
 
 def begin(lines, longest):
@@ -37,8 +35,10 @@ def begin(lines, longest):
     ready = []
     for line in lines:
         points = _spaced(line.points, longest)
-        spacing = np.linalg.norm(np.diff(points, axis=0), axis=1)
-        ready.append(MovingLine(line.name, line.kind, points, np.ones(len(points), bool), spacing))
+        n = len(points)
+        ready.append(
+            MovingLine(line.name, line.kind, points, np.full(n, np.nan), np.zeros(n, np.int8))
+        )
     return tuple(ready)
 
 
@@ -63,37 +63,37 @@ def with_points(lines, points):
     return tuple(replace(line, points=part) for line, part in zip(lines, moved, strict=True))
 
 
-def refined(lines, longest, shortest):
-    """Return the lines with vertices added where they are long or turn, and removed where not.
+def refined(lines, longest, shortest, time, dt):
+    """Return the lines with vertices added where they are long or turn, and removed again.
 
     A new vertex lies on the cubic through the four vertices around its segment, by chord length: a
     straight chord would be off by curvature times length squared, and the way back stretches that
     error as much as the way there stretched the line. Where the four are too uneven for a cubic, or
-    it leaves the chord as only a corner does, the vertex goes on the chord. Added vertices go again
-    where the drawn ones on both sides are as close as they were: they were only needed between.
+    it leaves the chord as only a corner does, the vertex goes on the chord. A vertex goes when time
+    turns and passes the moment that added it: before it, the line was well without.
 
     Args:
         lines: `MovingLine`s.
         longest: segments above this are halved once, m.
         shortest: segments below this are left alone, m.
+        time: model time that the lines have reached, s.
+        dt: the signed step that brought them there, s.
     """
-    return tuple(_refined(_relaxed(line, longest), longest, shortest) for line in lines)
+    way = np.int8(np.sign(dt))
+    return tuple(_refined(_undone(line, time), longest, shortest, time, way) for line in lines)
 
 
 def as_drawn(lines):
     """Return the lines with the vertices they were drawn with, and no others."""
-    return tuple(Line(line.name, line.kind, line.points[line.drawn]) for line in lines)
+    return tuple(Line(line.name, line.kind, line.points[line.way == 0]) for line in lines)
 
 
-def _relaxed(line, longest):
-    drawn = np.flatnonzero(line.drawn)
-    distance = np.linalg.norm(np.diff(line.points[drawn], axis=0), axis=1)
-    back = np.r_[(distance <= RETURNED * line.spacing) | (distance <= longest / 2), False]
-    keep = line.drawn | ~back[np.cumsum(line.drawn) - 1]
-    return replace(line, points=line.points[keep], drawn=line.drawn[keep])
+def _undone(line, time):
+    keep = (line.way == 0) | (line.way * (time - line.added) >= 0)
+    return replace(line, points=line.points[keep], added=line.added[keep], way=line.way[keep])
 
 
-def _refined(line, longest, shortest):
+def _refined(line, longest, shortest, time, way):
     step = np.diff(line.points, axis=0)
     length = np.hypot(*step.T)
     direction = np.arctan2(step[:, 1], step[:, 0])
@@ -104,7 +104,8 @@ def _refined(line, longest, shortest):
     return replace(
         line,
         points=np.insert(line.points, halved + 1, middles, axis=0),
-        drawn=np.insert(line.drawn, halved + 1, False),
+        added=np.insert(line.added, halved + 1, time),
+        way=np.insert(line.way, halved + 1, way),
     )
 
 

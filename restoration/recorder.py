@@ -14,6 +14,7 @@ from restoration.engine import StokesEngine
 from restoration.environment import versions
 from restoration.errors import RestorationError, StoppedError
 from restoration.figures import draw_section, draw_strip, draw_there_and_back
+from restoration.lines import as_drawn
 from restoration.output import (
     Diagnostics,
     MeshSeries,
@@ -236,8 +237,8 @@ class Recorder:
                 np.where(last.particles.inside[:, None], last.particles.start, np.nan),
                 last.particles.x,
                 last.particles.unit,
-                first.lines,
-                last.lines,
+                as_drawn(first.lines),
+                as_drawn(last.lines),
                 found["there_and_back"] | {"horizons": found["horizons"]},
             )
         self._output_s += time.perf_counter() - begin

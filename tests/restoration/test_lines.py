@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from restoration.lines import begin, points_of, refined, with_points
+from restoration.lines import as_drawn, begin, points_of, refined, with_points
 from restoration.scene import Line
 
 
@@ -30,41 +30,45 @@ def test_points_go_out_and_come_back():
 def test_new_vertices_lie_on_the_curve_to_fourth_order():
     off = []
     for n in (9, 17, 33):
-        # stretched to twice the size it was drawn with, so that no vertex goes again
-        (line,) = refined(with_points((moving(arc(n) / 2),), arc(n)), longest=1.0, shortest=0.1)
+        (line,) = refined((moving(arc(n)),), 1.0, 0.1, 1.0, 1.0)
         assert len(line.points) == 2 * n - 1
-        assert line.points[line.drawn] == pytest.approx(arc(n))
+        assert line.points[line.way == 0] == pytest.approx(arc(n))
         inner = line.points[3:-3:2]
         off.append(np.abs(np.linalg.norm(inner, axis=1) - 100).max())
     assert np.log2(off[0] / off[1]) > 3.5
     assert np.log2(off[1] / off[2]) > 3.5
 
 
-def test_a_line_that_is_stretched_and_let_go_has_its_own_vertices_again():
-    (line,) = lines = (moving(arc(30)),)
-    stretched = with_points(lines, line.points * (40, 1))
-    for _ in range(5):
-        stretched = refined(stretched, longest=20.0, shortest=1.0)
-    assert len(stretched[0].points) > 200
-    back = refined(with_points(stretched, stretched[0].points / (40, 1)), 20.0, 1.0)
-    assert back[0].points == pytest.approx(arc(30))
+@pytest.mark.parametrize("way", [1.0, -1.0])
+def test_added_vertices_go_when_time_turns(way):
+    lines = (moving(arc(30)),)
+    for step in range(1, 6):
+        lines = refined(lines, 2.0, 0.1, way * step, way)
+    assert len(lines[0].points) > 100
+    counts = []
+    for step in (4.5, 3.5, 2.5, 1.5, 0.5):
+        lines = refined(lines, 1e9, 1e9, way * step, -way)
+        counts.append(len(lines[0].points))
+    assert counts == sorted(counts, reverse=True)
+    assert lines[0].points == pytest.approx(arc(30))
+    assert as_drawn(lines)[0].points == pytest.approx(arc(30))
 
 
 def test_short_segments_are_left_alone():
-    (line,) = refined((moving(arc(200)),), longest=50.0, shortest=10.0)
+    (line,) = refined((moving(arc(200)),), longest=50.0, shortest=10.0, time=1.0, dt=1.0)
     assert len(line.points) == 200
 
 
 def test_sharp_turns_get_vertices():
     corner = moving([[0, 0], [10, 0], [20, 0], [20, 10], [20, 20]])
-    assert len(refined((corner,), longest=50.0, shortest=1.0)[0].points) == 7
+    assert len(refined((corner,), longest=50.0, shortest=1.0, time=1.0, dt=1.0)[0].points) == 7
 
 
 def test_uneven_vertices_do_not_overshoot():
     """A long straight segment between short ones at an angle stays where it is."""
     line = moving([[0, 0], [1, 2], [2, 4], [1002, 4], [1003, 2], [1004, 0]])
     for _ in range(12):
-        (line,) = refined((line,), longest=10.0, shortest=1.0)
+        (line,) = refined((line,), longest=10.0, shortest=1.0, time=1.0, dt=1.0)
     assert line.points[:, 1].min() >= -1e-9
     assert line.points[:, 1].max() < 5
     assert (np.diff(line.points[:, 0]) > 0).all()
@@ -80,6 +84,6 @@ def test_drawn_lines_are_spaced_on_their_segments():
 
 def test_two_points_are_halved_on_their_chord():
     line = moving([[0, 0], [100, 0]])
-    assert refined((line,), 60.0, 1.0)[0].points == pytest.approx(
+    assert refined((line,), 60.0, 1.0, 1.0, 1.0)[0].points == pytest.approx(
         np.array([[0, 0], [50, 0], [100, 0]])
     )
