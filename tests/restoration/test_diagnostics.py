@@ -58,7 +58,7 @@ def test_change_is_gain_over_the_first():
 
 
 def test_volumes_of_rock_under_a_relief():
-    """Two rocks side by side, the second half as high again and more: 1250 m against 1750 m."""
+    """Two rocks side by side under a slope, 1500 m high on average and 2500 m."""
     outline = Outline(np.array([[0, 0], [2000, 2000.0]]), np.array([[0, -1000], [2000, -1000.0]]))
     engine = StokesEngine(
         diapir_scene(

@@ -55,10 +55,11 @@ def test_a_linear_pressure_is_linear_at_all_nodes(engine):
 @pytest.mark.parametrize(
     ("u", "invariant"),
     [
-        (lambda x, z: (3e-15 * x, -3e-15 * z), 3e-15),  # pure shear
-        (lambda x, z: (4e-15 * z, 0 * z), 2e-15),  # simple shear
-        (lambda x, z: (4e-15 * z, -4e-15 * x), 0.0),  # a rotation
+        (lambda x, z: (3e-15 * x, -3e-15 * z), 3e-15),
+        (lambda x, z: (4e-15 * z, 0 * z), 2e-15),
+        (lambda x, z: (4e-15 * z, -4e-15 * x), 0.0),
     ],
+    ids=["pure shear", "simple shear", "rotation"],
 )
 def test_strain_rate_is_the_second_invariant(engine, u, invariant):
     point, cell = read(engine, ["strain_rate"], u)
