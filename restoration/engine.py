@@ -205,9 +205,9 @@ class StokesEngine:
         """Return the particles with new ones where the fields could not be filled without.
 
         A cell that runs empty inside a sealed section reads its rock from the particles around it,
-        continuously as they move. A birth is a jump that the way back cannot undo (measured: 45 m
-        instead of 4 m after 6 Myr there and back, from 20 births), so particles are born only where
-        all is empty for two cells around, and wherever a wall lets rock in.
+        continuously as they move. A birth is a jump that the way back cannot undo (see
+        docs/accuracy.md), so particles are born only where all is empty for two cells around, and
+        wherever a wall lets rock in.
         """
         empty = empty_cells(particles, len(self.index.area))
         self.empty_cells = len(empty)
