@@ -23,7 +23,7 @@ from restoration.particles import (
     seed,
 )
 from restoration.plan import active
-from restoration.scene import NORMAL, WALLS
+from restoration.scene import WALLS
 from restoration.snapshot import FieldSnapshot
 from restoration.spaces import Spaces
 from restoration.state import State
@@ -228,8 +228,8 @@ class StokesEngine:
 
         No rock crosses such a wall; a step of finite length can, by its own error.
         """
-        outline, walls = self.scene.outline, self.scene.walls
-        held = {name: walls[name].velocity[NORMAL[name]] == 0 for name in WALLS}
+        outline = self.scene.outline
+        held = {name: self.scene.normal_velocity(name) == 0 for name in WALLS}
         low = np.where(held["left"], outline.surface[0, 0], -np.inf)
         high = np.where(held["right"], outline.surface[-1, 0], np.inf)
         across = np.clip(x[:, 0], low, high)

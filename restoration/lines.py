@@ -70,7 +70,8 @@ def refined(lines, longest, shortest, time, dt):
     straight chord would be off by curvature times length squared, and the way back stretches that
     error as much as the way there stretched the line. Where the four are too uneven for a cubic, or
     it leaves the chord as only a corner does, the vertex goes on the chord. A vertex goes when time
-    turns and passes the moment that added it: before it, the line was well without.
+    turns and passes the moment that added it: before it, the line was well without. Those added
+    beside it on the way back go with it.
 
     Args:
         lines: `MovingLine`s.
@@ -101,12 +102,25 @@ def _refined(line, longest, shortest, time, way):
     sharp = np.maximum(np.r_[0, turn], np.r_[turn, 0]) > SHARP_TURN
     halved = np.flatnonzero((length > longest) | (sharp & (length > 2 * shortest)))
     middles = _middles(line.points, length, halved)
+    added, ways = _descent(line, halved, time, way)
     return replace(
         line,
         points=np.insert(line.points, halved + 1, middles, axis=0),
-        added=np.insert(line.added, halved + 1, time),
-        way=np.insert(line.way, halved + 1, way),
+        added=np.insert(line.added, halved + 1, added),
+        way=np.insert(line.way, halved + 1, ways),
     )
+
+
+def _descent(line, segments, time, way):
+    """Return when new vertices count as added, and by which way.
+
+    Beside a vertex of the other way, which will go soon, a new one goes with it: it is as wrong.
+    """
+    ends = np.stack([segments, segments + 1])
+    other = line.way[ends] == -way
+    soonest = np.where(other, -way * line.added[ends], -np.inf).max(axis=0, initial=-np.inf)
+    goes = other.any(axis=0)
+    return np.where(goes, -way * soonest, time), np.where(goes, -way, way).astype(np.int8)
 
 
 def _middles(points, length, segments):

@@ -238,16 +238,8 @@ class Scene:
         return len(set(self.unit_viscosity.tolist())) == 1
 
     def normal_velocity(self, name):
-        """Return the velocity across a wall, m/s: 0, another number, or None where it is free.
-
-        One component across an inclined wall does not hold u.n; free-slip does, and no-slip.
-        """
-        wall, across = self.walls[name], NORMAL[name]
-        line = {"surface": self.outline.surface, "base": self.outline.base}.get(name)
-        level = line is None or np.ptp(line[:, 1]) == 0
-        if wall.kind == "free-slip" or level or None not in wall.velocity:
-            return wall.velocity[across] if level or wall.kind == "free-slip" else _most(wall)
-        return None
+        """Return the velocity across a wall, m/s; see the function of this name."""
+        return normal_velocity(name, self.walls[name], self.outline)
 
     @property
     def closed(self):
@@ -260,6 +252,18 @@ class Scene:
         return all(self.normal_velocity(name) == 0 for name in WALLS)
 
 
-def _most(wall):
-    """Return the largest component of a wall that holds both."""
-    return max(wall.velocity, key=abs)
+def normal_velocity(name, wall, outline):
+    """Return the velocity across a wall, m/s: 0, another number, or None where it is free.
+
+    One component held on an inclined wall does not hold u.n; free-slip does, and both components.
+
+    Args:
+        name: of the wall.
+        wall: `Wall`.
+        outline: `Outline`.
+    """
+    across = wall.velocity[NORMAL[name]]
+    line = {"surface": outline.surface, "base": outline.base}.get(name)
+    if wall.kind == "free-slip" or line is None or np.ptp(line[:, 1]) == 0:
+        return across
+    return None if None in wall.velocity else max(wall.velocity, key=abs)

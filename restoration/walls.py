@@ -1,6 +1,6 @@
 """From the walls of a case to those of a scene, and what walls cannot do together."""
 
-from restoration.scene import NORMAL, Wall
+from restoration.scene import NORMAL, Wall, normal_velocity
 from restoration.units import YEAR
 
 
@@ -38,7 +38,7 @@ def loose(walls):
 
 def unbalanced(walls, outline):
     """Return the message about a closed section whose walls let more in than out."""
-    if any(walls[name].velocity[axis] is None for name, axis in NORMAL.items()):
+    if any(normal_velocity(name, wall, outline) is None for name, wall in walls.items()):
         return []
     flux = {}
     for name, line, sign in (("surface", outline.surface, 1), ("base", outline.base, -1)):

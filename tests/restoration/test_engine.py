@@ -15,6 +15,7 @@ from restoration.engine import StokesEngine
 from restoration.particles import seed
 from restoration.run import march
 from restoration.scene import Cloud, Line, Outline, ParticlePlan, TimePlan, Transfer, Wall
+from restoration.walls import unbalanced
 from tests.restoration.conftest import HEIGHT, MYR, WIDTH, diapir_scene
 
 # Initial rms velocity of van Keken's isoviscous diapir and of contrasts 10 and 100, computed
@@ -172,3 +173,20 @@ def test_an_inclined_wall_held_in_one_component_is_no_closed_wall():
     assert not inclined.sealed
     slip = Wall("free-slip", (None, 0.0), (0.0, 0.0))
     assert diapir_scene(walls=walls | {"surface": slip}, outline=Outline(top, base)).sealed
+
+
+def test_rock_may_leave_through_an_inclined_wall_held_in_one_component():
+    top = np.array([[0, 0], [WIDTH, 400.0]])
+    base = np.array([[0, -HEIGHT], [WIDTH, -HEIGHT]])
+    inflow = Wall("velocity", (1e-3 / 31557600, None), (0.0, 0.0))
+    walls = diapir_scene().walls | {
+        "left": inflow,
+        "surface": Wall("velocity", (None, 0.0), (0.0, 0.0)),
+    }
+    outline = Outline(top, base)
+    assert unbalanced(walls, outline) == []
+    scene = diapir_scene(
+        walls=walls, outline=outline, time=TimePlan((0.0, 0.5 * MYR), "midpoint", 0.5, 5)
+    )
+    engine = StokesEngine(scene)
+    assert march(engine.start(), engine, scene.time).particles.lost > 0

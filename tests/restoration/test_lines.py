@@ -54,6 +54,17 @@ def test_added_vertices_go_when_time_turns(way):
     assert as_drawn(lines)[0].points == pytest.approx(arc(30))
 
 
+def test_what_was_added_beside_added_vertices_goes_with_them():
+    """Stretched there, stretched more on the way back, and yet only the drawn ones remain."""
+    lines = (moving(arc(30)),)
+    for step in (1.0, 2.0, 3.0):
+        lines = refined(lines, 4.0, 0.1, step, 1.0)
+    lines = refined(lines, 1.0, 0.1, 2.9, -1.0)
+    assert len(lines[0].points) > 200
+    lines = refined(lines, 1e9, 1e9, 0.5, -1.0)
+    assert lines[0].points == pytest.approx(arc(30))
+
+
 def test_short_segments_are_left_alone():
     (line,) = refined((moving(arc(200)),), longest=50.0, shortest=10.0, time=1.0, dt=1.0)
     assert len(line.points) == 200
