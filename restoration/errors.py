@@ -63,6 +63,12 @@ class SolveError(RestorationError):
     exit_code = 3
 
 
+class TooLargeError(SolveError):
+    """A problem does not fit into memory."""
+
+    exit_code = 6
+
+
 class MeshError(RestorationError):
     """A mesh could not be made, or is too distorted to go on."""
 

@@ -15,7 +15,7 @@ from restoration.boundary import (
     wall_form,
     wall_load,
 )
-from restoration.errors import SolveError
+from restoration.errors import SolveError, TooLargeError
 
 RESIDUAL = 1e-8
 # Growth of the workspace over MUMPS's own forecast, per cent; the next is tried when it overflows.
@@ -181,7 +181,7 @@ class StokesProblem:
             self._new_solver(workspace)
             self.counts.factorisations += 1
         if infog == OUT_OF_MEMORY:
-            raise SolveError(
+            raise TooLargeError(
                 "the factorisation does not fit into memory (MUMPS INFOG(1) = -13); "
                 "lower mesh.cells"
             )

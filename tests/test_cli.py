@@ -10,6 +10,8 @@ from pathlib import Path
 
 import pytest
 
+from restoration.cli import main
+
 ROOT = Path(__file__).parents[1]
 DEMO = ROOT / "cases" / "diapir-isoviscous" / "case.yaml"
 BROKEN = sorted((ROOT / "tests" / "broken").glob("*.yaml"))
@@ -54,6 +56,32 @@ def test_bad_input_exits_2_and_leaves_nothing(tmp_path, command, path):
     assert all(line.startswith((str(path), "warning: ")) or ".geojson" in line for line in lines)
     assert "Traceback" not in done.stderr
     assert list(tmp_path.iterdir()) == []
+
+
+def test_all_of_the_corpus_through_the_command(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert len(BROKEN) >= 60
+    for path in BROKEN:
+        assert main(["run", str(path)]) == 2, path.stem
+        said = capsys.readouterr()
+        assert said.out == ""
+        assert said.err.strip()
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_full_device_is_told_in_a_line(tmp_path):
+    with open("/dev/full", "w") as full:
+        done = subprocess.run(
+            [sys.executable, "-m", "restoration.cli", "check", str(DEMO)],
+            env=os.environ | {"PYTHONPATH": str(ROOT)},
+            stdout=full,
+            stderr=subprocess.PIPE,
+            text=True,
+            check=False,
+        )
+    assert done.returncode == 5
+    assert "No space left" in done.stderr
+    assert "Traceback" not in done.stderr
 
 
 def test_an_override_that_is_wrong_is_named(tmp_path):

@@ -7,7 +7,7 @@ import ufl
 from dolfinx import fem
 
 from meshes.box import section_mesh
-from restoration.errors import SolveError
+from restoration.errors import SolveError, TooLargeError
 from restoration.scene import Wall
 from restoration.spaces import Spaces
 from restoration.stokes import StokesProblem
@@ -225,6 +225,50 @@ def test_a_section_that_nothing_holds_is_refused():
     one = fem.Constant(section.mesh, 1.0)
     with pytest.raises(SolveError):
         solved(problem(section, spaces, one, one, walls, closed=False))
+
+
+class Mumps:
+    """Stands for a solver whose factorisations end as told."""
+
+    def __init__(self, ends, workspaces):
+        self.ends, self.workspaces = iter(ends), workspaces
+
+    def solve(self, b, x):
+        self.end = next(self.ends)
+
+    def getPC(self):
+        return self
+
+    def getFactorMatrix(self):
+        return self
+
+    def getMumpsInfog(self, _):
+        return self.end
+
+    def getConvergedReason(self):
+        return 4 if self.end == 0 else -11
+
+
+@pytest.mark.parametrize(
+    ("ends", "error", "message", "tried"),
+    [
+        ([-13], TooLargeError, "does not fit into memory", []),
+        ([-9, -13], TooLargeError, "does not fit into memory", [200]),
+        ([-9, -9, -9], SolveError, r"INFOG\(1\) = -9", [200, 800]),
+        ([-10], SolveError, "check that the walls hold the section", []),
+    ],
+)
+def test_a_factorisation_that_fails_is_grown_or_told(ends, error, message, tried):
+    section, spaces = square(4)
+    one = fem.Constant(section.mesh, 1.0)
+    stokes = problem(section, spaces, one, one, SLIP_BOX)
+    workspaces = []
+    stokes.ksp = Mumps(ends, workspaces)
+    stokes._new_solver = workspaces.append
+    stokes.steady = True
+    with pytest.raises(error, match=message):
+        solved(stokes)
+    assert workspaces == tried
 
 
 def test_nan_never_leaves_the_solver():
