@@ -10,8 +10,9 @@ from restoration.scene import WALLS
 from restoration.seeding import count_points
 from restoration.units import show
 
-# Memory of a run: a base, MB, and bytes for each unknown and each particle.
-BASE_MB, PER_UNKNOWN, PER_PARTICLE = 250, 6000, 600
+# Memory of a run: a base, MB, and bytes for each unknown and each particle; fitted to the table of
+# `docs/measure.py memory`.
+BASE_MB, PER_UNKNOWN, PER_PARTICLE = 400, 2400, 300
 
 
 def describe(loaded):

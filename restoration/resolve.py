@@ -31,7 +31,7 @@ from restoration.units import Quantity
 from restoration.walls import loose, unbalanced, wall_of
 from restoration.words import listed
 
-MOST_CELLS = 1_000_000  # triangles; about 4.5 unknowns and 20 kB of memory each
+MOST_CELLS = 1_000_000  # triangles, of about 4.5 unknowns each
 MOST_PARTICLES = 20_000_000
 
 
@@ -79,16 +79,23 @@ def load(path, overrides=(), allow_outside=False):
     faults += _too_large(case, cells, tree)
     if faults:
         raise CaseError(faults)
+    notes = (*shape.notes, *cut)
+    scene = _scene(case, shape, outline, walls, cells, case.title or _title(path), notes)
+    return Loaded(case, scene, text, resolved_yaml(case, scene, digest))
+
+
+def _scene(case, shape, outline, walls, cells, title, notes):
+    """Return the scene of a case whose parts have been found sound."""
     used = [name for name in case.rocks if name in shape.rocks]
     unused = [name for name in case.rocks if name not in shape.rocks]
-    notes = [*shape.notes, *cut]
+    notes = [*notes]
     if unused:
         notes.append(f"rocks not in the section: {listed(unused, last='and')}")
     colors = unit_colors(
         used, [used.index(rock) for rock in shape.rocks], [case.rocks[name].color for name in used]
     )
-    scene = Scene(
-        title=case.title or _title(path),
+    return Scene(
+        title=title,
         outline=outline,
         rocks=tuple(
             Rock(name, case.rocks[name].density.si, case.rocks[name].viscosity.si, color)
@@ -126,7 +133,6 @@ def load(path, overrides=(), allow_outside=False):
         cloud=shape.cloud,
         notes=tuple(notes),
     )
-    return Loaded(case, scene, text, resolved_yaml(case, scene, digest))
 
 
 def _title(path):

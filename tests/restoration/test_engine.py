@@ -14,7 +14,7 @@ from restoration.diagnostics import (
 from restoration.engine import StokesEngine
 from restoration.particles import seed
 from restoration.run import march
-from restoration.scene import Cloud, Line, Outline, ParticlePlan, TimePlan, Transfer, Wall
+from restoration.scene import Cloud, Line, Outline, TimePlan, Transfer, Wall
 from restoration.walls import unbalanced
 from tests.restoration.conftest import HEIGHT, MYR, WIDTH, diapir_scene
 
@@ -26,8 +26,7 @@ INITIAL_RMS = {1: 0.00018529497938115516, 10: 0.0006729607400473148}
 @pytest.mark.parametrize("ratio", INITIAL_RMS)
 def test_initial_velocity_meets_theory(ratio):
     top = 1e19
-    plan = ParticlePlan(per_cell=6, densify=20, jitter=0.3, seed=1)
-    scene = diapir_scene(cells=(32, 35), viscosity=(top / ratio, top), particles=plan)
+    scene = diapir_scene(cells=(32, 35), viscosity=(top / ratio, top))
     engine = StokesEngine(scene)
     state = engine.with_flow(engine.start())
     rms, _ = engine.speeds(state.flow)
@@ -49,12 +48,18 @@ def test_the_diapir_rises_and_comes_back(journey):
     engine, (first, top, last) = journey
     crest = [state.lines[0].points[:, 1].max() for state in (first, top, last)]
     assert crest[1] > crest[0] + 1000
-    assert crest[2] == pytest.approx(crest[0], abs=5)
+    assert crest[2] == pytest.approx(crest[0], abs=2)
     distance, stats = there_and_back(last.particles)
     assert stats["mean_m"] < 1
     assert stats["mean_m"] <= stats["p99_m"] <= stats["max_m"] == np.nanmax(distance)
     assert last.particles.lost == 0
     assert engine.born == 0
+
+
+def area_below(state):
+    """Area between the horizon and the base, m^2."""
+    x, z = state.lines[0].points.T
+    return abs(np.trapz(z + HEIGHT, x))
 
 
 def test_horizons_and_volumes_come_back(journey):
@@ -64,7 +69,9 @@ def test_horizons_and_volumes_come_back(journey):
     before, middle, after = (volume_by_rock(engine, s.particles) for s in (first, top, last))
     assert sum(before.values()) == pytest.approx(WIDTH * HEIGHT)
     assert abs(relative_change(before, after)["salt"]) < 1e-3
-    assert abs(relative_change(before, middle)["salt"]) < 2e-2  # 12 cells across
+    # 12 cells across: the fields miss 1.2 % of the salt, which the flow itself has kept
+    assert abs(relative_change(before, middle)["salt"]) < 1.5e-2
+    assert area_below(top) == pytest.approx(area_below(first), rel=2e-3)
 
 
 def test_the_mesh_covers_the_box(journey):

@@ -110,7 +110,7 @@ def test_units_follow_the_section(make_scene):
     cloud = seed(scene)
     assert np.array_equal(cloud.unit, scene.unit_at(cloud.x))
     salt = cloud.area[cloud.unit == 0].sum()
-    assert salt == pytest.approx(9142 * 2000, rel=1e-2)  # the cosine adds nothing to the area
+    assert salt == pytest.approx(9142 * 2000, rel=2e-3)  # the cosine adds nothing to the area
 
 
 def test_an_empty_cell_takes_the_nearest_rock(index):
