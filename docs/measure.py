@@ -33,8 +33,8 @@ class BirthsEverywhere(StokesEngine):
     """Gives every cell that runs empty a particle, as most particle codes do."""
 
     def _settled(self, particles):
-        empty = empty_cells(particles, len(self.index.area))
-        return fill_cells(particles, self.index, empty)
+        empty = empty_cells(particles, len(self.grid.index.area))
+        return fill_cells(particles, self.grid.index, empty)
 
 
 def journey(case, *overrides, engine=StokesEngine):
@@ -111,7 +111,7 @@ def volume():
         x, z = np.r_[points, [[width, -height], [0, -height]]].T
         return 0.5 * abs(np.dot(x, np.roll(z, 1)) - np.dot(z, np.roll(x, 1)))
 
-    seen = [volume_by_rock(engine, state.particles)["salt"] for state in states]
+    seen = [volume_by_rock(engine.scene, engine.grid, state.particles)["salt"] for state in states]
     for state, v in zip(states, seen, strict=True):
         row(
             f"{state.time / MYR:.0f} Myr",

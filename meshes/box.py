@@ -1,4 +1,4 @@
-"""Structured meshes of sections with vertical sides, flat or with a relief."""
+"""Structured meshes: sections with vertical sides, flat or with a relief, and boxes."""
 
 import numpy as np
 from dolfinx import mesh as dmesh
@@ -6,49 +6,81 @@ from mpi4py import MPI
 
 from meshes.data import SectionMesh
 
-WALL_TAGS = {"left": 1, "right": 2, "base": 3, "surface": 4}
+WALL_TAGS = {"left": 1, "right": 2, "base": 3, "surface": 4, "front": 5, "back": 6}
+PLANE_WALLS = ("left", "right", "base", "surface")
+NEAR = 1e-9  # of a width, a point this near to a wall is on it
+# Ghosts on the other side of every facet that two ranks share: walls weakly held and adaption
+# need none, and a bare mesh has none.
+GHOSTS = dmesh.GhostMode.shared_facet
 
 
-def section_mesh(surface, base, cells):
-    """Return a mesh of columns between two lines; every square is split into four triangles.
+def section_mesh(surface, base, cells, cell="triangle"):
+    """Return a mesh of columns between two lines.
 
-    The crossed pattern has no preferred diagonal, so a mirrored section gets a mirrored answer.
+    Every square is split into four triangles, or is one quadrilateral. The crossed pattern has no
+    preferred diagonal, so a mirrored section gets a mirrored answer.
 
     Args:
         surface: top line, shape (n, 2), x ascending, m.
         base: bottom line over the same x range, shape (m, 2), m.
         cells: columns and rows of squares.
+        cell: ``triangle`` or ``quadrilateral``.
     """
     left, right = surface[0, 0], surface[-1, 0]
     mesh = dmesh.create_rectangle(
         MPI.COMM_WORLD,
         [np.array([left, 0.0]), np.array([right, 1.0])],
         list(cells),
-        dmesh.CellType.triangle,
+        getattr(dmesh.CellType, cell),
+        ghost_mode=GHOSTS,
         diagonal=dmesh.DiagonalType.crossed,
     )
-    mesh.topology.create_connectivity(1, 2)
-    facet_tags = _tag_walls(mesh, left, right)
+    facet_tags = _tag_walls(mesh, np.array([left, 0.0]), np.array([right, 1.0]))
     x = mesh.geometry.x
     top = np.interp(x[:, 0], surface[:, 0], surface[:, 1])
     bottom = np.interp(x[:, 0], base[:, 0], base[:, 1])
     x[:, 1] = bottom + x[:, 1] * (top - bottom)
     lines = {"surface": surface, "base": base}
     level = {name for name, line in lines.items() if np.ptp(line[:, 1]) == 0}
-    return SectionMesh(mesh, facet_tags, dict(WALL_TAGS), frozenset({"left", "right"} | level))
+    tags = {name: WALL_TAGS[name] for name in PLANE_WALLS}
+    return SectionMesh(mesh, facet_tags, tags, frozenset({"left", "right"} | level))
 
 
-def _tag_walls(mesh, left, right):
-    """Return the wall tags of a mesh whose rows still run from z = 0 to 1."""
-    near = 1e-9
-    at = {
-        "left": lambda x: x[0] <= left + near * (right - left),
-        "right": lambda x: x[0] >= right - near * (right - left),
-        "base": lambda x: x[1] <= near,
-        "surface": lambda x: x[1] >= 1 - near,
-    }
-    facets = {name: dmesh.locate_entities_boundary(mesh, 1, inside) for name, inside in at.items()}
-    index = np.concatenate(list(facets.values()))
-    value = np.concatenate([np.full(len(f), WALL_TAGS[n], np.int32) for n, f in facets.items()])
+def box_mesh(low, high, cells, cell="tetrahedron"):
+    """Return a mesh of a box in three dimensions; z is up, y from front to back.
+
+    Args:
+        low, high: opposite corners, shape (3,), m.
+        cells: cubes along x, y and z; each is one hexahedron or six tetrahedra.
+        cell: ``tetrahedron`` or ``hexahedron``.
+    """
+    low, high = np.asarray(low, float), np.asarray(high, float)
+    mesh = dmesh.create_box(
+        MPI.COMM_WORLD,
+        [low, high],
+        list(cells),
+        getattr(dmesh.CellType, cell),
+        ghost_mode=GHOSTS,
+    )
+    return SectionMesh(mesh, _tag_walls(mesh, low, high), dict(WALL_TAGS), frozenset(WALL_TAGS))
+
+
+def _tag_walls(mesh, low, high):
+    """Return the tags of the walls of a box."""
+    dim = mesh.topology.dim
+    mesh.topology.create_connectivity(dim - 1, dim)
+    axes = {"left": 0, "right": 0, "base": dim - 1, "surface": dim - 1}
+    if dim == 3:
+        axes |= {"front": 1, "back": 1}
+    index, value = [], []
+    for name, axis in axes.items():
+        at = (low if name in ("left", "base", "front") else high)[axis]
+        slack = NEAR * (high - low)[axis]
+        facets = dmesh.locate_entities_boundary(
+            mesh, dim - 1, lambda x, axis=axis, at=at, slack=slack: np.abs(x[axis] - at) <= slack
+        )
+        index.append(facets)
+        value.append(np.full(len(facets), WALL_TAGS[name], np.int32))
+    index, value = np.concatenate(index), np.concatenate(value)
     order = np.argsort(index)
-    return dmesh.meshtags(mesh, 1, index[order], value[order])
+    return dmesh.meshtags(mesh, dim - 1, index[order], value[order])

@@ -6,7 +6,7 @@ from dolfinx import fem
 from petsc4py import PETSc
 
 from forms.stokes import slip_form, traction_load
-from restoration.scene import NORMAL
+from restoration.scene import normal_axis
 
 
 def is_inclined_slip(name, wall, section):
@@ -31,15 +31,33 @@ def velocity_conditions(walls, section, spaces):
         facets = section.facet_tags.find(section.wall_tags[name])
         for axis, value in enumerate(wall.velocity):
             if value is not None:
-                component = spaces.W.sub(0).sub(axis)
-                dofs = fem.locate_dofs_topological(component, 1, facets)
-                conditions.append(fem.dirichletbc(PETSc.ScalarType(value), dofs, component))
+                conditions.append(_held(spaces.W.sub(0).sub(axis), facets, value))
     return conditions
 
 
+def _held(component, facets, value):
+    """Return the condition that holds a velocity component, by a number or a function of points."""
+    dim = component.mesh.topology.dim
+    if not callable(value):
+        dofs = fem.locate_dofs_topological(component, dim - 1, facets)
+        return fem.dirichletbc(PETSc.ScalarType(value), dofs, component)
+    alone, _ = component.collapse()
+    held = fem.Function(alone)
+    held.interpolate(lambda x: value(x[:dim].T))
+    dofs = fem.locate_dofs_topological((component, alone), dim - 1, facets)
+    return fem.dirichletbc(held, dofs, component)
+
+
 def pressure_pin(spaces):
-    """Return the condition that fixes the level of the pressure in a closed section."""
-    dof = np.array([spaces.q_in_w[0]], dtype=np.int32)
+    """Return the condition that fixes the level of the pressure in a closed section.
+
+    The dof is one of the first rank's; the others must hold it where it is a ghost of theirs.
+    """
+    index_map = spaces.W.dofmap.index_map
+    first = index_map.local_to_global(spaces.q_in_w[:1].astype(np.int32))
+    chosen = spaces.section.mesh.comm.bcast(first, root=0)
+    local = np.arange(index_map.size_local + index_map.num_ghosts, dtype=np.int32)
+    dof = local[index_map.local_to_global(local) == chosen]
     return fem.dirichletbc(PETSc.ScalarType(0), dof, spaces.W.sub(1))
 
 
@@ -69,12 +87,12 @@ def wall_load(v, scale, walls, section, spaces):
 
 
 def outflow(u, walls, section, spaces):
-    """Return the form of the flux that the walls prescribe, u.n integrated, m^2/s."""
+    """Return the form of the flux that the walls prescribe, u.n integrated, m^dim/s."""
     n = ufl.FacetNormal(section.mesh)
     held = [
         name
         for name, wall in walls.items()
-        if wall.velocity[NORMAL[name]] is not None and not is_inclined_slip(name, wall, section)
+        if wall.velocity[normal_axis(name, section.dim)] is not None and not is_inclined_slip(name, wall, section)
     ]
     terms = [ufl.dot(u, n) * spaces.ds(section.wall_tags[name]) for name in held]
     return sum(terms[1:], terms[0])

@@ -73,19 +73,26 @@ def _to_set(pieces, others):
     return np.concatenate(distance), np.concatenate(length)
 
 
-def volume_by_rock(engine, particles):
+def volume_by_rock(scene, grid, particles):
     """Return the area each rock fills on the mesh, m^2 (volume per metre of strike), by name.
 
-    The rock is read as the flow sees it, by the hat-weighted means, so clustering of particles and
-    empty patches show.
+    The rock is read as the flow sees it: by the hat-weighted means, so clustering of particles and
+    empty patches show; in a fitted mesh by the cells.
+
+    Args:
+        scene: `scene.Scene`.
+        grid: `Grid` that the particles are located in.
+        particles: `Particles`.
     """
-    scene, index = engine.scene, engine.index
     rock = np.array([unit.rock for unit in scene.units])
     table = (rock[:, None] == np.arange(len(scene.rocks))).astype(float)
-    weights = index.locate(particles.x, particles.cell)[1]
-    share = engine.fields.hat_means(table, particles.cell, weights, particles.unit, particles.area)
-    nodes = engine.spaces.q_nodes
-    volume = np.einsum("c,cr->r", index.area, share[nodes].mean(axis=1))
+    if grid.section.regions is not None:
+        share = table[grid.fields.unit]
+    else:
+        p, weights = particles, grid.index.locate(particles.x, particles.cell)[1]
+        hats = grid.fields.hat_means(table, p.cell, weights, p.unit, p.area)
+        share = hats[grid.spaces.h_nodes].mean(axis=1)
+    volume = np.einsum("c,cr->r", grid.index.area, share)
     return {rock.name: float(v) for rock, v in zip(scene.rocks, volume, strict=True)}
 
 
@@ -94,18 +101,17 @@ def relative_change(first, last):
     return {name: (last[name] - v) / v for name, v in first.items() if v}
 
 
-def compared(engine, states):
+def compared(states, volume):
     """Return what a run has kept and lost between its marks, as entries of its record.
 
     Args:
-        engine: of the run.
         states: `State` at every mark; where the last is at the time of the first, there and back is
             compared too.
+        volume: `volume_by_rock` of every one of them.
     """
-    volume = [volume_by_rock(engine, state.particles) for state in states]
     changes = [relative_change(volume[0], later) for later in volume[1:]]
     found = {
-        "area_change": float(engine.section.areas.sum() / engine.start_area - 1),
+        "area_change": sum(volume[-1].values()) / sum(volume[0].values()) - 1,
         "volume_by_rock_change": changes[-1],
         "volume_by_rock_largest_change": {
             name: max((change[name] for change in changes), key=abs) for name in changes[0]

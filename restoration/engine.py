@@ -1,8 +1,7 @@
 """The engine that moves a section by Stokes flow.
 
 The loop (`run.march`) asks an engine for three things, `with_flow`, `stable_step` and `advance`,
-and knows nothing else of the physics; the recorder asks for `about`, `work`, `numbers` and
-`snapshot`. A discrete-element engine will offer the same.
+and knows nothing else of the physics; the recorder asks for `about`, `work` and `numbers`. A discrete-element engine will offer the same.
 """
 
 import time
@@ -11,32 +10,25 @@ from dataclasses import replace
 
 import numpy as np
 
-from meshes.box import section_mesh
 from restoration.advection import FROZEN, STEPPERS
 from restoration.errors import SolveError
 from restoration.lines import begin, points_of, refined, with_points
-from restoration.particles import (
-    CellIndex,
-    empty_cells,
-    fill_cells,
-    relocate,
-    seed,
-)
+from restoration.grid import Grid
+from restoration.mesher import Mesher
+from restoration.particles import OUTSIDE, empty_cells, fill_cells, relocate, seed
 from restoration.plan import active
 from restoration.scene import WALLS
-from restoration.snapshot import FieldSnapshot
-from restoration.spaces import Spaces
 from restoration.state import State
-from restoration.stokes import StokesProblem
-from restoration.transfer import RockFields, velocity_at
+from restoration.stokes import Counts
 
 # A horizon is kept this many times finer than the mesh, see `lines.refined`.
 LINE_POINTS_PER_CELL = 4
 LINE_POINTS_PER_CELL_AT_TURNS = 32
+PARTS = ("setup", "mesh", "fields", "assemble", "solve", "advect")
 
 
 class StokesEngine:
-    """Moves a section by Stokes flow on a mesh that stands still.
+    """Moves a section by Stokes flow.
 
     Args:
         scene: `scene.Scene`.
@@ -48,72 +40,64 @@ class StokesEngine:
             particles around them.
         held_on_wall: times a particle was set back onto a closed wall.
         seconds: wall time by part, s.
+        grid: the `Grid` in use: one for the run where the mesh stands still.
+        meshes: number of meshes so far.
     """
 
     def __init__(self, scene):
-        self.seconds = dict.fromkeys(("setup", "fields", "assemble", "solve", "advect"), 0.0)
+        self.seconds = dict.fromkeys(PARTS, 0.0)
+        self.scene, self.counts = scene, Counts()
         with self._timed("setup"):
-            self.scene = scene
-            self.section = section_mesh(scene.outline.surface, scene.outline.base, scene.cells)
-            self.spaces = Spaces(self.section)
-            self.index = CellIndex(self.section)
-            self.start_area = float(self.section.areas.sum())
-            self.cell_size = float(np.sqrt(4 * self.index.area.mean()))
-            self.eta0 = float(scene.unit_viscosity.min())
-            relative = scene.unit_viscosity / self.eta0
-            self.fields = RockFields(
-                self.spaces, self.index, scene.unit_density, relative, scene.transfer
-            )
-            self.stokes = StokesProblem(
-                self.section,
-                self.spaces,
-                self.fields.rho,
-                self.fields.eta,
-                self.eta0,
-                scene.walls,
-                scene.gravity,
-                scene.closed,
-                scene.one_viscosity,
-            )
+            self.mesher = Mesher(scene)
+            self.cell_size = self.mesher.finest
+            section, points = self.mesher.mesh(self._first_lines())
+            self.grid = Grid(scene, section, self.counts, points and (None, points))
+        self.start_area = self.grid.section.area
+        self.fitted = scene.mesh.interfaces == "fitted"
+        self.meshes = 1
+        self._steps, self._last_flow = 0, None
         self.born = 0
         self.empty_cells = 0
         self.held_on_wall = 0
 
     @property
-    def counts(self):
-        """What the solver has done so far."""
-        return self.stokes.counts
+    def section(self):
+        """The mesh of this moment."""
+        return self.grid.section
 
     def about(self):
         """Return what this engine is and does, as entries of the run record."""
         return {
             "engine": "stokes",
             "active": active(self.scene),
-            "cells": len(self.index.area),
-            "unknowns": self.spaces.unknowns,
+            "cells": self.grid.section.cell_count,
+            "unknowns": self.grid.spaces.unknowns,
         }
 
     def work(self):
         """Return what it has done so far, as entries of the run record."""
-        counts = self.stokes.counts
+        counts = self.counts
         return {
             "stokes_solves": counts.solves,
             "factorisations": counts.factorisations,
+            "krylov_iterations": counts.krylov_iterations,
             "refinements": counts.refinements,
             "worst_residual": counts.worst_residual,
+            "meshes": self.meshes,
             "particles_born": self.born,
-            "wall_leak_m2_per_s": self.stokes.leak,
+            "wall_leak_m2_per_s": self.grid.stokes.leak,
             "wall_by_part_s": {part: round(s, 3) for part, s in self.seconds.items()},
         }
 
     def numbers(self, state):
         """Return the numbers of a step, as columns of the diagnostics table."""
-        rms, greatest = self.speeds(state.flow)
+        rms, greatest = state.grid.speeds(state.flow)
         return {
-            "stokes_solves": self.stokes.counts.solves,
+            "stokes_solves": self.counts.solves,
             "residual": state.flow.residual,
             "rms_velocity_m_per_s": rms,
             "max_velocity_m_per_s": greatest,
+            "cells": state.grid.section.cell_count,
             "particles": len(state.particles.x),
             "particles_lost": state.particles.lost,
             "particles_born": self.born,
@@ -121,30 +105,48 @@ class StokesEngine:
             "held_on_wall": self.held_on_wall,
         }
 
-    def speeds(self, flow):
-        """Return root mean square and greatest speed, m/s."""
-        area, nodes = self.index.area, self.spaces.v_nodes
-        squared = (flow.u**2).sum(axis=1)
-        # The rule of the edge middles is exact to degree two, enough for a diagnostic.
-        mean = (area * squared[nodes[:, 3:]].mean(axis=1)).sum() / area.sum()
-        return float(np.sqrt(mean)), float(np.sqrt(squared.max()))
-
-    def snapshot(self):
-        """Return the reader of the fields for files."""
-        return FieldSnapshot(self.spaces, self.fields, self.eta0)
-
     def start(self):
         """Return the state at the first mark."""
-        particles = self._settled(relocate(seed(self.scene), self.index))
-        lines = begin(self.scene.lines, self.cell_size / LINE_POINTS_PER_CELL)
-        return State(self.scene.time.marks[0], particles, lines)
+        particles = self._settled(relocate(seed(self.scene), self.grid.index))
+        return State(self.scene.time.marks[0], particles, self._first_lines(), grid=self.grid)
+
+    def _first_lines(self):
+        return begin(self.scene.lines, self.cell_size / LINE_POINTS_PER_CELL)
 
     def with_flow(self, state):
-        """Return the state with its flow solved for."""
+        """Return the state with its flow solved for, on a new mesh where one is due."""
         if state.flow is not None:
             return state
-        weights = self.index.locate(state.particles.x, state.particles.cell)[1]
-        return replace(state, flow=self._solve(state.particles, weights))
+        particles, refine = state.particles, self.scene.mesh.refine
+        if self.fitted:
+            particles = self._fit(particles, state.lines)
+        elif refine and self._steps % refine.every == 0:
+            if "velocity-gradient" in refine.where and self._last_flow is None:
+                self._last_flow = self._solve(particles)
+            particles = self._adapt(particles, state.lines)
+        self._last_flow = self._solve(particles)
+        return replace(state, particles=particles, flow=self._last_flow, grid=self.grid)
+
+    def _fit(self, particles, lines):
+        """Make a mesh that follows the lines; return the particles located in it."""
+        with self._timed("mesh"):
+            section, points = self.mesher.mesh(lines)
+            self.grid = Grid(self.scene, section, self.counts, (particles, points))
+            self.meshes += 1
+            return relocate(self._nowhere(particles), self.grid.index)
+
+    def _adapt(self, particles, lines):
+        """Adapt the mesh; return the particles located in it."""
+        with self._timed("mesh"):
+            section, _ = self.mesher.mesh(lines, self.grid, self._last_flow)
+            self.grid = Grid(self.scene, section, self.counts)
+            self.meshes += 1
+            return self._settled(relocate(self._nowhere(particles), self.grid.index))
+
+    @staticmethod
+    def _nowhere(particles):
+        """Return the particles without cells: those of another mesh tell nothing."""
+        return replace(particles, cell=np.full_like(particles.cell, OUTSIDE))
 
     def stable_step(self, state):
         """Return the longest step that crosses ``courant`` cells, s; positive.
@@ -152,8 +154,7 @@ class StokesEngine:
         Raises:
             SolveError: the velocity is not finite.
         """
-        speed = np.linalg.norm(state.flow.u, axis=1)[self.spaces.v_nodes].max(axis=1)
-        fastest = float((speed / np.sqrt(4 * self.index.area)).max())
+        fastest = state.grid.fastest(state.flow)
         if not np.isfinite(fastest):
             raise SolveError("the velocity is not finite; no time step is possible")
         return self.scene.time.courant / fastest if fastest > 0 else np.inf
@@ -163,27 +164,36 @@ class StokesEngine:
         dt = until - state.time
         n = len(state.particles.x)
         asked = 0
+        points = points_of(state.lines)
+        guess = np.r_[state.particles.cell, state.grid.index.guess(points)]
 
         def velocity(x):
             """Return velocities of particles and line points, solving Stokes for the rock at x."""
             nonlocal asked
             first, asked = asked == 0, asked + 1
-            with self._timed("advect"):
-                cell, weights = self.index.locate(x, guess)
-                moved = replace(state.particles, x=x[:n], cell=cell[:n])
             frozen = first or self.scene.time.scheme in FROZEN
-            flow = state.flow if frozen else self._solve(moved, weights[:n])
+            grid, flow = state.grid, state.flow
+            if not frozen and self.fitted:
+                at = replace(state.particles, x=x[:n])
+                at = self._fit(at, with_points(state.lines, x[n:]))
+                grid, flow = self.grid, self._solve(at)
+                cell, hats = grid.index.locate(x, np.r_[at.cell, grid.index.guess(x[n:])])
+            else:
+                with self._timed("advect"):
+                    cell, hats = grid.index.locate(x, guess)
+                if not frozen:
+                    at = replace(state.particles, x=x[:n], cell=cell[:n])
+                    flow = self._solve(at, hats[:n])
             with self._timed("advect"):
-                return velocity_at(self.spaces.v_nodes, flow.u, cell, weights)
+                return grid.sampler(grid.sampler.coefficients(flow.u), cell, hats)
 
-        points = points_of(state.lines)
-        guess = np.r_[state.particles.cell, self.index.guess(points)]
         x = STEPPERS[self.scene.time.scheme](
             np.concatenate([state.particles.x, points]), velocity, dt
         )
+        self._steps += 1
         with self._timed("advect"):
             x = self._on_walls(x)
-            particles = self._settled(relocate(state.particles, self.index, x[:n]))
+            particles = self._settled(relocate(state.particles, self.grid.index, x[:n]))
             lines = refined(
                 with_points(state.lines, x[n:]),
                 self.cell_size / LINE_POINTS_PER_CELL,
@@ -193,13 +203,16 @@ class StokesEngine:
             )
         return State(until, particles, lines)
 
-    def _solve(self, particles, weights):
+    def _solve(self, particles, hats=None):
+        grid = self.grid
         with self._timed("fields"):
-            self.fields.fill(particles.x, particles.cell, weights, particles.unit, particles.area)
+            if hats is None:
+                hats = grid.index.locate(particles.x, particles.cell)[1]
+            grid.fill(particles, hats)
         with self._timed("assemble"):
-            self.stokes.assemble()
+            grid.stokes.assemble()
         with self._timed("solve"):
-            return self.stokes.solve()
+            return grid.stokes.solve()
 
     def _settled(self, particles):
         """Return the particles with new ones where the fields could not be filled without.
@@ -209,10 +222,13 @@ class StokesEngine:
         docs/accuracy.md), so particles are born only where all is empty for two cells around, and
         wherever a wall lets rock in.
         """
-        empty = empty_cells(particles, len(self.index.area))
+        if self.fitted:  # the cells know their rock
+            return particles
+        index = self.grid.index
+        empty = empty_cells(particles, len(index.area))
         self.empty_cells = len(empty)
         if self.scene.sealed and len(empty):
-            nodes = self.spaces.q_nodes
+            nodes = self.grid.spaces.h_nodes
             held = np.ones(len(nodes), bool)
             held[empty] = False
             served = np.zeros(nodes.max() + 1, bool)
@@ -221,7 +237,7 @@ class StokesEngine:
                 held = served[nodes].any(axis=1)
             empty = empty[~served[nodes[empty]].all(axis=1)]
         self.born += len(empty)
-        return fill_cells(particles, self.index, empty)
+        return fill_cells(particles, index, empty)
 
     def _on_walls(self, x):
         """Return the points with those that a step carried through a closed wall set back onto it.

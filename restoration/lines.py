@@ -34,7 +34,7 @@ def begin(lines, longest):
     """
     ready = []
     for line in lines:
-        points = _spaced(line.points, longest)
+        points = spaced(line.points, longest)
         n = len(points)
         ready.append(
             MovingLine(line.name, line.kind, points, np.full(n, np.nan), np.zeros(n, np.int8))
@@ -42,7 +42,8 @@ def begin(lines, longest):
     return tuple(ready)
 
 
-def _spaced(points, longest):
+def spaced(points, longest):
+    """Return a polyline with vertices at most ``longest`` apart, m, on its segments."""
     length = np.linalg.norm(np.diff(points, axis=0), axis=1)
     parts = np.maximum(1, np.ceil(length / longest)).astype(int)
     segment = np.repeat(np.arange(len(parts)), parts)

@@ -49,18 +49,22 @@ class Particles:
 
 
 class CellIndex:
-    """Finds the cell and the barycentric coordinates of points by walking through the mesh.
+    """Finds the cell of points and their hats in it by walking through the mesh.
+
+    The hats of a point are the values of the hat functions of the corners there: barycentric
+    coordinates in a triangle, bilinear ones in a quadrilateral.
 
     Args:
-        section: `meshes.data.SectionMesh`.
+        section: `meshes.data.SectionMesh` of two dimensions.
 
     Attributes:
-        corners: corner coordinates of every cell, shape (cells, 3, 2), m.
-        neighbours: cell opposite each corner, shape (cells, 3); -1 on a wall.
+        corners: corner coordinates of every cell, shape (cells, k, 2), m; k is 3 or 4.
+        neighbours: cell across every facet, shape (cells, k); -1 on a wall.
         area: of every cell, shape (cells,), m^2.
     """
 
     def __init__(self, section):
+        self._walk = {"triangle": _walk, "quadrilateral": _walk_squares}[section.cell]
         self.corners = np.ascontiguousarray(section.corners)
         self.neighbours = np.ascontiguousarray(section.neighbours)
         self.area = section.areas
@@ -71,20 +75,20 @@ class CellIndex:
         return self._tree.query(x)[1].astype(np.int32)
 
     def locate(self, x, guess):
-        """Return the cell of every point and its barycentric coordinates in it.
+        """Return the cell of every point and its hats in it.
 
         Args:
             x: points, shape (n, 2), m.
             guess: cell to start from, shape (n,); OUTSIDE where none is known.
 
         Returns:
-            cell (n,) int32, OUTSIDE where the point is in no cell, and (n, 3) coordinates.
+            cell (n,) int32, OUTSIDE where the point is in no cell, and hats (n, k).
         """
         start = np.array(guess, dtype=np.int32)
         unknown = np.flatnonzero(start < 0)
         if unknown.size:
             start[unknown] = self.guess(x[unknown])
-        cell, weights = _walk(x, start, self.corners, self.neighbours)
+        cell, weights = self._walk(x, start, self.corners, self.neighbours)
         stuck = np.flatnonzero(cell == OUTSIDE)
         if stuck.size:  # a walk can end at a concave wall although the point is inside
             near = self._tree.query(x[stuck], k=min(24, len(self.corners)))[1]
@@ -93,7 +97,7 @@ class CellIndex:
                 if not left.size:
                     break
                 rows = stuck[left]
-                cell[rows], weights[rows] = _walk(
+                cell[rows], weights[rows] = self._walk(
                     x[rows], column[left].astype(np.int32), self.corners, self.neighbours
                 )
         return cell, weights
@@ -132,6 +136,65 @@ def _walk(x, start, corners, neighbours):
                 c = -1
         cell[i] = c
     return cell, weights
+
+
+@numba.njit(cache=True)
+def _walk_squares(x, start, corners, neighbours):
+    n = len(x)
+    cell = np.empty(n, np.int32)
+    weights = np.zeros((n, 4))
+    most = 2 * len(corners) + 8
+    for i in range(n):
+        c = start[i]
+        for step in range(most):
+            r, s = _in_square(x[i], corners[c])
+            # The facets of the reference square: s = 0, r = 0, r = 1, s = 1.
+            k, least = 0, s
+            if r < least:
+                k, least = 1, r
+            if 1.0 - r < least:
+                k, least = 2, 1.0 - r
+            if 1.0 - s < least:
+                k, least = 3, 1.0 - s
+            if least >= -ON_FACET:
+                weights[i, 0], weights[i, 1] = (1 - r) * (1 - s), r * (1 - s)
+                weights[i, 2], weights[i, 3] = (1 - r) * s, r * s
+                break
+            c = neighbours[c, k]
+            if c < 0:
+                break
+            if step == most - 1:
+                c = -1
+        cell[i] = c
+    return cell, weights
+
+
+@numba.njit(cache=True)
+def _in_square(point, corner):
+    """Return the reference coordinates of a point by Newton's method for the bilinear map."""
+    r, s = 0.5, 0.5
+    for _ in range(20):
+        fx, fz, jxr, jxs, jzr, jzs = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+        for k in range(4):
+            hr, dr = (r, 1.0) if k % 2 else (1 - r, -1.0)
+            hs, ds = (s, 1.0) if k // 2 else (1 - s, -1.0)
+            fx += hr * hs * corner[k, 0]
+            fz += hr * hs * corner[k, 1]
+            jxr += dr * hs * corner[k, 0]
+            jxs += hr * ds * corner[k, 0]
+            jzr += dr * hs * corner[k, 1]
+            jzs += hr * ds * corner[k, 1]
+        fx, fz = point[0] - fx, point[1] - fz
+        det = jxr * jzs - jxs * jzr
+        if det == 0.0:
+            break
+        step_r, step_s = (fx * jzs - fz * jxs) / det, (jxr * fz - jzr * fx) / det
+        r, s = r + step_r, s + step_s
+        # far outside the map may fold over: stay where it still tells the direction
+        r, s = min(max(r, -4.0), 5.0), min(max(s, -4.0), 5.0)
+        if abs(step_r) + abs(step_s) < 1e-13:
+            break
+    return r, s
 
 
 def seed(scene):

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from restoration.canvas import time_text
-from restoration.diagnostics import compared, there_and_back
+from restoration.diagnostics import compared, there_and_back, volume_by_rock
 from restoration.engine import StokesEngine
 from restoration.environment import versions
 from restoration.errors import RestorationError, StoppedError
@@ -34,6 +34,7 @@ COLUMNS = (
     "residual",
     "rms_velocity_m_per_s",
     "max_velocity_m_per_s",
+    "cells",
     "particles",
     "particles_lost",
     "particles_born",
@@ -64,7 +65,7 @@ class Recorder:
         self.engine = None
         self.steps, self.elapsed = 0, 0.0
         self._began, self._output_s = time.perf_counter(), 0.0
-        self._marks = []  # (time, state) of every mark passed
+        self._marks, self._volumes = [], []  # states at the marks passed, and area by rock
         self._last = None
         self._framed = -1.0  # elapsed time of the last frame
         self._path = float(np.abs(np.diff(self.scene.time.marks)).sum())
@@ -82,7 +83,6 @@ class Recorder:
         self.say(f"{self.scene.title}: run folder {self.folder}")
         self.record |= {"commit": commit(), "versions": versions()}
         engine = self.engine = self._make_engine(self.scene)
-        self.snapshot = engine.snapshot()
         scene = self.scene
         self.fields = MeshSeries(self.folder / "fields.xdmf")
         frame = {
@@ -126,7 +126,8 @@ class Recorder:
             self.say(f"{len(state.particles.x)} particles")
         before = self._marks[-1].time if self._marks else None
         self._last = state
-        self._marks.append(replace(state, flow=None))  # a flow is large, and not compared
+        self._volumes.append(volume_by_rock(self.scene, state.grid, state.particles))
+        self._marks.append(replace(state, flow=None, grid=None))  # large, and not compared
         self._frame(state)
         myr = state.time / MYR
         ages = counts_back(self.scene)
@@ -140,7 +141,7 @@ class Recorder:
             state.particles.x,
             state.particles.unit,
             state.lines,
-            (self.snapshot.points, state.flow.u) if self.scene.output.arrows else None,
+            _arrows(state) if self.scene.output.arrows else None,
             label=time_text(self.scene, state.time, before),
         )
         self.say(f"mark {number}: {time_label(self.scene, state.time)} after {self.steps} steps")
@@ -204,10 +205,9 @@ class Recorder:
     def _frame(self, state):
         scene, particles = self.scene, state.particles
         self._framed = self.elapsed
-        point, cell = self.snapshot.read(state.flow, scene.output.fields)
-        self.fields.write(
-            self.elapsed, self.snapshot.points, self.snapshot.triangles, point, cell, state.time
-        )
+        snapshot = state.grid.snapshot
+        point, cell = snapshot.read(state.flow, scene.output.fields)
+        self.fields.write(self.elapsed, snapshot.points, snapshot.cells, point, cell, state.time)
         if scene.output.particles:
             rock = np.array([unit.rock for unit in scene.units], np.int16)[particles.unit]
             distance, _ = there_and_back(particles)
@@ -228,7 +228,7 @@ class Recorder:
             (self.scene, s.time, s.particles.x, s.particles.unit, s.lines) for s in self._marks
         ]
         draw_strip(figures / "strip.png", panels)
-        found = compared(self.engine, self._marks)
+        found = compared(self._marks, self._volumes)
         self.record |= found
         if "there_and_back" in found:
             draw_there_and_back(
@@ -262,6 +262,12 @@ class Recorder:
             "peak_rss_mb": round(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024, 1),
         }
         write_record(self.folder / "run.json", self.record)
+
+
+def _arrows(state):
+    """Return points and the velocity there, for the arrows of a picture."""
+    snapshot = state.grid.snapshot
+    return snapshot.points, snapshot.read(state.flow, ["velocity"])[0]["velocity"]
 
 
 def commit():

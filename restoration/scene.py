@@ -9,7 +9,11 @@ from dataclasses import dataclass
 import numpy as np
 
 WALLS = ("left", "right", "base", "surface")
-NORMAL = {"left": 0, "right": 0, "base": 1, "surface": 1}  # axis across each wall
+
+
+def normal_axis(name, dim):
+    """Return the axis across a wall in two or three dimensions; up is the last axis."""
+    return {"left": 0, "right": 0, "front": 1, "back": 1}.get(name, dim - 1)
 
 
 @dataclass(frozen=True)
@@ -65,7 +69,8 @@ class Wall:
 
     Attributes:
         kind: ``no-slip``, ``free-slip``, ``velocity`` or ``traction``.
-        velocity: prescribed components, m/s; None where the component is not held.
+        velocity: prescribed components, m/s: a number, a function of points (n, dim), m, that
+            gives (n,), or None where the component is not held.
         traction: force per area on the components that are not held, Pa; 0 is stress-free.
     """
 
@@ -127,15 +132,60 @@ class Transfer:
     """How rock is carried from particles to the fields.
 
     Attributes:
-        density: ``hat`` (continuous, hat-weighted vertices), ``quadrature`` (arithmetic mean of
-            the particles around each quadrature point) or ``cell`` (arithmetic mean per cell).
-        viscosity: ``hat`` or ``cell``.
+        density: ``hat`` (continuous, hat-weighted vertices), ``linear`` (a plane in each cell),
+            ``quadrature`` (arithmetic mean of the particles around each quadrature point) or
+            ``cell`` (arithmetic mean per cell).
+        viscosity: one of the same.
         mean: of the viscosity: ``harmonic``, ``geometric`` or ``arithmetic``.
     """
 
     density: str
     viscosity: str
     mean: str
+
+
+@dataclass(frozen=True)
+class RefinePlan:
+    """Where the mesh is finer, and how often that is found anew.
+
+    Attributes:
+        levels: how often a cell may be halved.
+        where: of ``interfaces``, ``faults`` and ``velocity-gradient``.
+        every: number of steps after which the mesh is adapted again.
+    """
+
+    levels: int
+    where: tuple[str, ...]
+    every: int
+
+
+@dataclass(frozen=True)
+class MeshPlan:
+    """What the mesh is made of.
+
+    Attributes:
+        element: pair of elements, a name in `forms.elements.ELEMENTS`.
+        interfaces: ``particles`` where they carry the rock through the mesh, ``fitted`` where mesh
+            lines follow it.
+        refine: `RefinePlan`, or None for a mesh that stands still.
+    """
+
+    element: str = "P2-P1"
+    interfaces: str = "particles"
+    refine: RefinePlan | None = None
+
+
+@dataclass(frozen=True)
+class SolverPlan:
+    """How the Stokes matrix is solved.
+
+    Attributes:
+        name: ``direct``, ``fieldsplit`` or ``auto``.
+        options: PETSc options that replace those of the solver, (name, value) pairs.
+    """
+
+    name: str = "auto"
+    options: tuple[tuple[str, str], ...] = ()
 
 
 @dataclass(frozen=True)
@@ -200,10 +250,11 @@ class Scene:
         lines: horizons and faults that move with the rock.
         walls: wall by name, one for each of `WALLS`.
         gravity: acceleration downwards, m/s^2.
-        cells: mesh columns and rows of squares; each becomes four triangles.
+        cells: mesh columns and rows of squares; each becomes four triangles or a quadrilateral.
         particles, transfer, time, output: the plans.
         cloud: the particles where the case gives them, else None.
         notes: remarks on the input for the user, such as slivers that were closed.
+        mesh, solver: the plans of the mesh and of the linear solver.
     """
 
     title: str
@@ -221,6 +272,8 @@ class Scene:
     output: OutputPlan
     cloud: Cloud | None
     notes: tuple[str, ...]
+    mesh: MeshPlan = MeshPlan()
+    solver: SolverPlan = SolverPlan()
 
     @property
     def unit_density(self):
@@ -262,7 +315,7 @@ def normal_velocity(name, wall, outline):
         wall: `Wall`.
         outline: `Outline`.
     """
-    across = wall.velocity[NORMAL[name]]
+    across = wall.velocity[normal_axis(name, 2)]
     line = {"surface": outline.surface, "base": outline.base}.get(name)
     if wall.kind == "free-slip" or line is None or np.ptp(line[:, 1]) == 0:
         return across

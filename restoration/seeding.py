@@ -9,7 +9,8 @@ def seed_points(scene):
 
     The lattice follows the columns of the outline. A lattice square within one mesh cell of a
     contact between different rocks holds ``densify`` particles of low discrepancy instead of one
-    (paper, sect. 3.4), each standing for its share of the square.
+    (paper, sect. 3.4), each standing for its share of the square; where the mesh is finer near
+    contacts, more in proportion.
 
     Args:
         scene: `scene.Scene`.
@@ -55,13 +56,28 @@ def _share(scene):
         one[axis], two[axis] = slice(None, -1), slice(1, None)
         alone[tuple(one)] &= ~differs
         alone[tuple(two)] &= ~differs
-    if alone.all() or plan.densify == 1:
+    refine = scene.mesh.refine
+    levels = refine.levels if refine and "interfaces" in refine.where else 0
+    if alone.all() or (plan.densify == 1 and not levels):
         return np.ones(rock.shape, int)
     square = outline.height / up, outline.width / across
     reach = max(outline.width / cells[0], outline.height / cells[1])
+    finest = reach / 2**levels
     # from the middle of a square to the contact at the edge of the nearest one that touches it
     distance = distance_transform_edt(alone, sampling=square) + min(square) / 2
-    return np.where(distance < reach, plan.densify, 1)
+    share = np.where(distance < max(finest, min(square)), plan.densify, 1)
+    finer = reach / np.minimum(reach, graded(distance, finest)) if levels else np.ones(share.shape)
+    return share * np.rint(finer**2).astype(int)
+
+
+def graded(distance, finest):
+    """Return the wanted size of cells at a distance from a line, m: two of each size, then larger.
+
+    Args:
+        distance: shape (n,), m.
+        finest: size at the line, m.
+    """
+    return 1.01 * np.maximum(finest, distance / 2)  # a little more, against rounding
 
 
 def _to_section(outline, fraction):

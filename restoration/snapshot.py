@@ -1,36 +1,49 @@
 """The fields of one instant as plain arrays, ready for a file."""
 
-import numpy as np
 from dolfinx import fem
 
 from forms.stokes import second_invariant
+from restoration.spaces import nodes
 
-# dolfinx numbers the edges of a triangle by their opposite corner; VTK goes round.
-VTK_NODES = [0, 1, 2, 5, 3, 4]
+# dolfinx numbers the edges of a triangle by their opposite corner, and those of a square row by
+# row; VTK goes round.
+VTK_NODES = {"triangle": [0, 1, 2, 5, 3, 4], "quadrilateral": [0, 1, 3, 2, 4, 6, 7, 5, 8]}
 
 
 class FieldSnapshot:
-    """Reads the fields of an engine at the nodes of quadratic triangles, so that P2 is kept whole.
+    """Reads fields at the nodes of quadratic cells, so that quadratic velocities are kept whole.
+
+    What is discontinuous becomes means of the cells.
 
     Args:
         spaces: `Spaces`.
-        fields: `RockFields`.
+        fields: `RockFields`, or others with the same attributes.
         eta0: reference viscosity, Pa s.
 
     Attributes:
         points: nodes, shape (n, 2), m.
-        triangles: nodes of every triangle in VTK's order, shape (m, 6).
+        cells: nodes of every cell in VTK's order, shape (m, 6) or (m, 9).
     """
 
     def __init__(self, spaces, fields, eta0):
-        self.spaces, self.fields, self.eta0 = spaces, fields, eta0
-        self.points = spaces.V.tabulate_dof_coordinates()[:, :2].copy()
-        self.triangles = spaces.v_nodes[:, VTK_NODES]
-        self._u = fem.Function(spaces.V)
-        at_centre = spaces.D.element.interpolation_points()
-        self._eps = fem.Expression(second_invariant(self._u), at_centre)
-        self._eta = fem.Expression(fields.eta, at_centre)
-        self._cells = fem.Function(spaces.D)
+        self.fields, self.eta0 = fields, eta0
+        section = spaces.section
+        nodal = fem.FunctionSpace(section.mesh, ("Lagrange", 2))
+        self.points = nodal.tabulate_dof_coordinates()[:, :2].copy()
+        self.cells = nodes(nodal)[:, VTK_NODES[section.cell]]
+        self._vectors = fem.Function(fem.VectorFunctionSpace(section.mesh, ("Lagrange", 2)))
+        self._scalars, self._means = fem.Function(nodal), fem.Function(spaces.D)
+        self._u, self._p = fem.Function(spaces.V), fem.Function(spaces.Q)
+        at, centre = (space.element.interpolation_points() for space in (nodal, spaces.D))
+        self._velocity = fem.Expression(self._u, at)
+        self._eps = fem.Expression(second_invariant(self._u), centre)
+        self._at_nodes, self._in_cells = {}, {}
+        if spaces.pair.continuous:
+            self._at_nodes["pressure"] = fem.Expression(self._p, at)
+        else:
+            self._in_cells["pressure"] = fem.Expression(self._p, centre)
+        if fields.rho.function_space == spaces.H:
+            self._at_nodes["density"] = fem.Expression(fields.rho, at)
 
     def read(self, flow, names):
         """Return point data and cell data by name, SI.
@@ -39,39 +52,30 @@ class FieldSnapshot:
             flow: `Flow` for which the rock fields were filled last.
             names: of velocity, pressure, density, viscosity, strain_rate.
         """
+        self._u.x.array[:] = flow.u.ravel()
+        self._p.x.array[:] = flow.p
         readers = {
-            "velocity": lambda: flow.u,
-            "pressure": lambda: self._at_nodes(flow.p),
-            "density": self._density,
-            "viscosity": self._viscosity,
-            "strain_rate": lambda: self._strain_rate(flow),
+            "velocity": lambda: (True, self._values(self._vectors, self._velocity).reshape(-1, 2)),
+            "pressure": lambda: self._either("pressure", None),
+            "density": lambda: self._either("density", self.fields.density_means),
+            "viscosity": lambda: (False, self.fields.viscosity_means() * self.eta0),
+            "strain_rate": lambda: (False, self._values(self._means, self._eps)),
         }
         point, cell = {}, {}
         for name in names:
-            values = readers[name]()
-            (point if len(values) == len(self.points) else cell)[name] = values
+            at_nodes, values = readers[name]()
+            (point if at_nodes else cell)[name] = values
         return point, cell
 
-    def _at_nodes(self, vertex_values):
-        corners = vertex_values[self.spaces.q_nodes]
-        out = np.empty(len(self.points))
-        out[self.spaces.v_nodes[:, :3]] = corners
-        for k in range(3):
-            out[self.spaces.v_nodes[:, 3 + k]] = (corners.sum(axis=1) - corners[:, k]) / 2
-        return out
+    def _either(self, name, otherwise):
+        """Return whether a field is at nodes, and its values."""
+        if name in self._at_nodes:
+            return True, self._values(self._scalars, self._at_nodes[name])
+        if name in self._in_cells:
+            return False, self._values(self._means, self._in_cells[name])
+        return False, otherwise()
 
-    def _density(self):
-        values = self.fields.rho.x.array
-        kind = self.fields.transfer.density
-        if kind == "hat":
-            return self._at_nodes(values)
-        return values.reshape(len(self.triangles), -1).mean(axis=1)
-
-    def _viscosity(self):
-        self._cells.interpolate(self._eta)
-        return self._cells.x.array * self.eta0
-
-    def _strain_rate(self, flow):
-        self._u.x.array[:] = flow.u.ravel()
-        self._cells.interpolate(self._eps)
-        return self._cells.x.array.copy()
+    @staticmethod
+    def _values(function, expression):
+        function.interpolate(expression)
+        return function.x.array.copy()

@@ -4,45 +4,57 @@ import numpy as np
 import ufl
 from dolfinx import fem
 
-QUADRATURE_DEGREE = 4
+from forms.elements import ELEMENTS, vector
 
 
 class Spaces:
-    """The spaces of one mesh: P2/P1 Taylor-Hood for the flow, P1, DG0 and points for the rock.
+    """The spaces of one mesh: a pair of elements for the flow; P1, DG0 and points for the rock.
 
     Args:
-        section: `meshes.data.SectionMesh`.
+        section: `meshes.data.SectionMesh`; split at the barycentres where the pair asks for it.
+        element: name in `forms.elements.ELEMENTS`.
 
     Attributes:
+        pair: the `ElementPair`.
         W: mixed space of velocity and pressure.
         V, Q: velocity and pressure space on their own.
         v_in_w, q_in_w: dofs of W behind the dofs of V and Q.
-        v_nodes: velocity nodes of every cell, shape (cells, 6).
-        q_nodes: pressure nodes (vertices) of every cell, shape (cells, 3).
+        v_nodes: velocity nodes of every cell, shape (cells, nodes).
+        H: continuous hat functions of the corners of the cells.
+        h_nodes: hats (corners) of every cell, shape (cells, corners).
         D: cell-wise constants.
         P: values at the quadrature points.
+        degree: of the quadrature.
         dx, ds: measures; ``ds`` takes the tag of a wall.
     """
 
-    def __init__(self, section):
-        mesh = section.mesh
-        cell = mesh.ufl_cell()
-        velocity = ufl.VectorElement("Lagrange", cell, 2)
-        pressure = ufl.FiniteElement("Lagrange", cell, 1)
-        points = ufl.FiniteElement("Quadrature", cell, QUADRATURE_DEGREE, quad_scheme="default")
+    def __init__(self, section, element="P2-P1"):
+        mesh, self.section = section.mesh, section
+        self.pair = ELEMENTS[element]
+        cell, dim = section.cell, section.dim
+        self.degree = self.pair.quadrature(cell)
+        velocity = vector(self.pair.velocity(cell), dim)
+        pressure = self.pair.pressure(cell)
+        points = ufl.FiniteElement("Quadrature", cell, self.degree, quad_scheme="default")
         self.W = fem.FunctionSpace(mesh, ufl.MixedElement([velocity, pressure]))
         self.V, v_in_w = self.W.sub(0).collapse()
         self.Q, q_in_w = self.W.sub(1).collapse()
         self.v_in_w, self.q_in_w = np.asarray(v_in_w), np.asarray(q_in_w)
+        self.H = self.Q if self.pair.continuous else fem.FunctionSpace(mesh, ("Lagrange", 1))
         self.D = fem.FunctionSpace(mesh, ("DG", 0))
         self.P = fem.FunctionSpace(mesh, points)
-        self.v_nodes = self.V.dofmap.list.array.reshape(-1, 6)
-        self.q_nodes = self.Q.dofmap.list.array.reshape(-1, 3)
-        degree = {"quadrature_degree": QUADRATURE_DEGREE}
+        self.v_nodes, self.h_nodes = nodes(self.V), nodes(self.H)
+        degree = {"quadrature_degree": self.degree}
         self.dx = ufl.Measure("dx", mesh, metadata=degree)
         self.ds = ufl.Measure("ds", mesh, subdomain_data=section.facet_tags, metadata=degree)
 
     @property
     def unknowns(self):
-        """Number of velocity and pressure unknowns."""
+        """Number of velocity and pressure unknowns on all ranks."""
         return self.W.dofmap.index_map.size_global * self.W.dofmap.index_map_bs
+
+
+def nodes(space):
+    """Return the nodes of every cell of a space, shape (cells, nodes), int32."""
+    dofmap = space.dofmap.list
+    return dofmap.array.reshape(dofmap.num_nodes, -1)

@@ -16,9 +16,11 @@ class State:
         particles: located `Particles`.
         lines: horizons and faults.
         flow: the flow at this time; None until it is solved for.
+        grid: the `Grid` of that flow.
     """
 
     time: float
     particles: Particles
     lines: tuple[MovingLine, ...]
     flow: Flow | None = None
+    grid: object | None = None

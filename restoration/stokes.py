@@ -1,10 +1,11 @@
-"""The Stokes problem of a section: assembly, factorisation and a solve that is checked."""
+"""The Stokes problem of a section: assembly, and a solve that is checked."""
 
 from dataclasses import dataclass
 
 import numpy as np
 import ufl
 from dolfinx import fem
+from mpi4py import MPI
 from petsc4py import PETSc
 
 from forms.stokes import gravity_load, source_load, stokes_form
@@ -15,13 +16,10 @@ from restoration.boundary import (
     wall_form,
     wall_load,
 )
-from restoration.errors import SolveError, TooLargeError
+from restoration.errors import SolveError
+from restoration.solvers import make_solver
 
 RESIDUAL = 1e-8
-# Growth of the workspace over MUMPS's own forecast, per cent; the next is tried when it overflows.
-WORKSPACE = (50, 200, 800)
-SMALL_WORKSPACE = (-8, -9)
-OUT_OF_MEMORY = -13
 
 
 @dataclass
@@ -30,6 +28,7 @@ class Counts:
 
     solves: int = 0
     factorisations: int = 0
+    krylov_iterations: int = 0
     refinements: int = 0
     worst_residual: float = 0.0
 
@@ -39,9 +38,9 @@ class Flow:
     """Velocity and pressure of one instant.
 
     Attributes:
-        u: velocity at the P2 nodes, shape (nodes, 2), m/s.
-        p: pressure at the vertices, shape (vertices,), Pa; in a closed section zero on average
-            along the surface.
+        u: velocity at the nodes of `Spaces.V`, shape (nodes, dim), m/s.
+        p: pressure at the dofs of `Spaces.Q`, Pa; in a closed section zero on average along the
+            surface.
         residual: true relative residual of the solve.
     """
 
@@ -51,7 +50,7 @@ class Flow:
 
 
 class StokesProblem:
-    """Stokes flow of one mesh, solved by MUMPS for one density and viscosity after another.
+    """Stokes flow of one mesh, solved for one density and viscosity after another.
 
     The forms are divided by the smallest viscosity, which keeps the residual at rounding up to a
     contrast of 1e12; divided by the largest, 1e9 would fail.
@@ -66,18 +65,35 @@ class StokesProblem:
         gravity: downwards, m/s^2.
         closed: whether the normal velocity is held on every wall.
         steady: whether the viscosity never changes, so that one factorisation serves.
+        solver: `solvers.SolverPlan`; None for the default.
+        counts: `Counts` to go on with; None begins anew.
 
     Attributes:
         counts: what was done so far.
-        leak: flux out of the walls that the section makes up for by swelling, m^2/s.
+        leak: flux out of the walls that the section makes up for by swelling, m^dim/s.
     """
 
-    def __init__(self, section, spaces, rho, eta, eta0, walls, gravity, closed, steady):
+    def __init__(
+        self,
+        section,
+        spaces,
+        rho,
+        eta,
+        eta0,
+        walls,
+        gravity,
+        closed,
+        steady,
+        solver=None,
+        counts=None,
+    ):
         self.spaces, self.section, self.eta0, self.steady = spaces, section, eta0, steady
         self.closed = closed
-        self.counts = Counts()
+        self.counts = counts or Counts()
+        self._comm = section.mesh.comm
+        area = section.area
         # One cell size: then pressure and velocity columns are of one size where eta = eta0.
-        self.length = float(np.sqrt(section.areas.mean()))
+        self.length = float((area / section.cell_count) ** (1 / section.dim))
         self.bcs = velocity_conditions(walls, section, spaces)
         leak = fem.Constant(section.mesh, PETSc.ScalarType(0))
         self.leak = 0.0
@@ -85,18 +101,23 @@ class StokesProblem:
             # The walls as the mesh interpolates them may let a little more in than out, which no
             # divergence-free flow can meet: spread over the section it does not spoil the pin.
             self.leak = self._prescribed_outflow(walls)
-            leak.value = self.leak / section.areas.sum()
+            leak.value = self.leak / area
             self.bcs = [*self.bcs, pressure_pin(spaces)]
         self._make_forms(rho, eta, walls, gravity, leak)
         self.A = fem.petsc.create_matrix(self.a)
         self.b = fem.petsc.create_vector(self.load)
         self.x, self.r = self.b.duplicate(), self.b.duplicate()
-        self.ksp = None
+        self.solver = make_solver(solver, self.A, spaces, eta, self.length)
+        self._assembled = False
         top = spaces.ds(section.wall_tags["surface"])
         self._p = fem.Function(spaces.Q)
         self._surface_pressure = fem.form(self._p * top)
         one = fem.Constant(section.mesh, PETSc.ScalarType(1))
-        self._surface_length = fem.assemble_scalar(fem.form(one * top))
+        self._surface_length = self._total(fem.form(one * top))
+
+    def _total(self, form):
+        """Return the value of a form on all ranks."""
+        return self._comm.allreduce(fem.assemble_scalar(form), op=MPI.SUM)
 
     def _make_forms(self, rho, eta, walls, gravity, leak):
         spaces, section = self.spaces, self.section
@@ -104,15 +125,16 @@ class StokesProblem:
         a = stokes_form(*trial, *test, eta, self.length, spaces.dx)
         slip = wall_form(trial, test, eta, self.length, walls, section, spaces)
         self.a = fem.form(a if slip is None else a + slip)
-        g = fem.Constant(section.mesh, np.array([0.0, -gravity]) / self.eta0)
-        load = gravity_load(test[0], rho, g, spaces.dx)
+        down = np.zeros(section.dim)
+        down[-1] = -gravity / self.eta0
+        load = gravity_load(test[0], rho, fem.Constant(section.mesh, down), spaces.dx)
         load += source_load(test[1], leak, self.length, spaces.dx)
         push = wall_load(test[0], self.eta0, walls, section, spaces)
         self.load = fem.form(load if push is None else load + push)
 
     def assemble(self):
         """Assemble the load and, unless it never changes, the matrix."""
-        if self.ksp is None or not self.steady:
+        if not self._assembled or not self.steady:
             self._assemble_matrix()
         with self.b.localForm() as local:
             local.set(0)
@@ -125,72 +147,39 @@ class StokesProblem:
         """Return the `Flow` of what was assembled last.
 
         Raises:
-            SolveError: MUMPS failed or the true relative residual stayed above `RESIDUAL`.
+            SolveError: the solver failed or the true relative residual stayed above `RESIDUAL`.
         """
         residual = self._checked_solve()
         self.counts.solves += 1
         self.counts.worst_residual = max(self.counts.worst_residual, residual)
-        x = self.x.array_r
-        u = x[self.spaces.v_in_w].reshape(-1, 2).copy()
-        self._p.x.array[:] = x[self.spaces.q_in_w] * (self.eta0 / self.length)
+        self.x.ghostUpdate(addv=PETSc.InsertMode.INSERT, mode=PETSc.ScatterMode.FORWARD)
+        with self.x.localForm() as local:
+            x = local.array_r
+            u = x[self.spaces.v_in_w].reshape(-1, self.section.dim).copy()
+            self._p.x.array[:] = x[self.spaces.q_in_w] * (self.eta0 / self.length)
         if self.closed:
-            level = fem.assemble_scalar(self._surface_pressure) / self._surface_length
-            self._p.x.array[:] -= level
+            self._p.x.array[:] -= self._total(self._surface_pressure) / self._surface_length
         return Flow(u, self._p.x.array.copy(), residual)
 
     def _prescribed_outflow(self, walls):
-        """Return the net flux through the walls as the mesh represents it, m^2/s."""
+        """Return the net flux through the walls as the mesh represents it, m^dim/s."""
         w = fem.Function(self.spaces.W)
         fem.petsc.set_bc(w.vector, self.bcs)
         w.x.scatter_forward()
         u, _ = ufl.split(w)
-        return fem.assemble_scalar(fem.form(outflow(u, walls, self.section, self.spaces)))
+        return self._total(fem.form(outflow(u, walls, self.section, self.spaces)))
 
     def _assemble_matrix(self):
         self.A.zeroEntries()
         fem.petsc.assemble_matrix(self.A, self.a, self.bcs)
         self.A.assemble()
-        if self.ksp is None:
-            self._new_solver(WORKSPACE[0])
-        else:
-            self.ksp.setOperators(self.A)
-        self.counts.factorisations += 1
-
-    def _new_solver(self, workspace):
-        if self.ksp is not None:
-            self.ksp.destroy()
-        ksp = PETSc.KSP().create(self.section.mesh.comm)
-        ksp.setOptionsPrefix("stokes_")
-        ksp.setType("preonly")
-        pc = ksp.getPC()
-        pc.setType("lu")
-        pc.setFactorSolverType("mumps")
-        ksp.setOperators(self.A)
-        pc.setFactorSetUpSolverType()
-        pc.getFactorMatrix().setMumpsIcntl(14, workspace)
-        ksp.setFromOptions()
-        self.ksp = ksp
+        self.solver.update()
+        self._assembled = True
 
     def _checked_solve(self):
         """Solve in place and return the true relative residual; raise unless it is small."""
-        for workspace in (*WORKSPACE[1:], None):
-            self.ksp.solve(self.b, self.x)
-            infog = self.ksp.getPC().getFactorMatrix().getMumpsInfog(1)
-            if infog not in SMALL_WORKSPACE or workspace is None:
-                break
-            self._new_solver(workspace)
-            self.counts.factorisations += 1
-        if infog == OUT_OF_MEMORY:
-            raise TooLargeError(
-                "the factorisation does not fit into memory (MUMPS INFOG(1) = -13); "
-                "lower mesh.cells"
-            )
-        reason = self.ksp.getConvergedReason()
-        if reason <= 0 or infog != 0:
-            raise SolveError(
-                f"the Stokes solve failed: PETSc reason {reason}, MUMPS INFOG(1) = {infog}; "
-                "check that the walls hold the section and the range of viscosities"
-            )
+        before = self.solver.factorisations, self.solver.iterations
+        self.solver.solve(self.b, self.x)
         scale = self.b.norm() or 1.0
         residual = self._residual() / scale
         for _ in range(3):
@@ -198,6 +187,8 @@ class StokesProblem:
                 break
             self._refine()
             residual = self._residual() / scale
+        self.counts.factorisations += self.solver.factorisations - before[0]
+        self.counts.krylov_iterations += self.solver.iterations - before[1]
         if not residual <= RESIDUAL:  # also true for NaN
             raise SolveError(
                 f"the Stokes solve is not accurate: relative residual {residual:.1e}, allowed "
@@ -212,7 +203,7 @@ class StokesProblem:
 
     def _refine(self):
         correction = self.x.duplicate()
-        self.ksp.solve(self.r, correction)
+        self.solver.solve(self.r, correction)
         self.x.axpy(1, correction)
         correction.destroy()
         self.counts.refinements += 1

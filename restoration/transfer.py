@@ -1,8 +1,9 @@
-"""Between particles and mesh: averages of the rock, and the velocity at points.
+"""From rock to fields on the mesh: averages of particles, or the rock of every cell.
 
 The ``hat`` projection weighs every particle by the linear hat functions of the vertices around
 it, so the field is continuous in the particle positions; high order in time needs that. The means
-per cell and around quadrature points are those of the paper (sect. 3.4).
+per cell and around quadrature points are those of the paper (sect. 3.4). A ``linear`` one fits a
+plane to the particles of every cell. Where mesh lines follow the rock nothing is averaged.
 """
 
 import basix
@@ -13,7 +14,7 @@ from scipy.sparse import csr_matrix
 
 from forms.rheology import VISCOSITY_OF_MEAN
 from restoration.particles import OUTSIDE
-from restoration.spaces import QUADRATURE_DEGREE
+from restoration.spaces import nodes
 
 # Weight of the particles of neighbouring vertices in a hat mean, for every cell they share. It
 # keeps the field smooth where a vertex loses the last particle of its own: see docs/accuracy.md.
@@ -24,6 +25,13 @@ AVERAGED = {
     "arithmetic": lambda eta: eta,
     "geometric": np.log,
     "harmonic": lambda eta: 1 / eta,
+}
+
+# and its inverse
+MEAN_OF_AVERAGED = {
+    "arithmetic": lambda mean: mean,
+    "geometric": np.exp,
+    "harmonic": lambda mean: 1 / mean,
 }
 
 
@@ -46,13 +54,18 @@ class RockFields:
         self.spaces, self.index, self.transfer = spaces, index, transfer
         self._density = np.asarray(density, float)
         self._mean = AVERAGED[transfer.mean](np.asarray(viscosity, float))
-        space = {"hat": spaces.Q, "cell": spaces.D, "quadrature": spaces.P}
+        space = {"hat": spaces.H, "cell": spaces.D, "quadrature": spaces.P}
+        if "linear" in (transfer.density, transfer.viscosity):
+            space["linear"] = fem.FunctionSpace(spaces.section.mesh, ("DG", 1))
         self.rho = fem.Function(space[transfer.density], name="density")
         self.theta = fem.Function(space[transfer.viscosity], name="theta")
         self.eta = VISCOSITY_OF_MEAN[transfer.mean](self.theta)
-        self._points, _ = basix.make_quadrature(basix.CellType.triangle, QUADRATURE_DEGREE)
+        cell = getattr(basix.CellType, spaces.section.cell)
+        points, _ = basix.make_quadrature(cell, spaces.degree)
+        hats = basix.create_element(basix.ElementFamily.P, cell, 1).tabulate(0, points)
+        self._hats_at_points = hats[0, :, :, 0]
         self._around = None
-        self._vertices = int(spaces.q_nodes.max()) + 1
+        self._vertices = int(spaces.h_nodes.max()) + 1
         self._hats = np.full((self._vertices, 2), np.nan)
 
     def fill(self, x, cell, weights, unit, area):
@@ -61,7 +74,7 @@ class RockFields:
         Args:
             x: positions, shape (n, 2), m.
             cell: their cells, shape (n,); those OUTSIDE do not count.
-            weights: barycentric coordinates, shape (n, 3).
+            weights: hats of the points, shape (n, k), see `CellIndex`.
             unit: row of the unit table, shape (n,).
             area: weight of each particle, shape (n,).
         """
@@ -69,8 +82,17 @@ class RockFields:
         # Inside a step, before particles can be born there, such a vertex keeps what it had.
         hats = np.where(np.isnan(hats), self._hats, hats)
         self._hats = hats
-        self.rho.x.array[:] = self._values(self.transfer.density, 0, hats, x, cell, unit, area)
-        self.theta.x.array[:] = self._values(self.transfer.viscosity, 1, hats, x, cell, unit, area)
+        cloud = x, cell, weights, unit, area
+        self.rho.x.array[:] = self._values(self.transfer.density, 0, hats, *cloud)
+        self.theta.x.array[:] = self._values(self.transfer.viscosity, 1, hats, *cloud)
+
+    def density_means(self):
+        """Return the mean density of every cell, shape (cells,), kg/m^3."""
+        return cell_means(self.rho)
+
+    def viscosity_means(self):
+        """Return the mean viscosity of every cell over the reference, shape (cells,)."""
+        return MEAN_OF_AVERAGED[self.transfer.mean](cell_means(self.theta))
 
     def hat_means(self, table, cell, weights, unit, area):
         """Return the hat-weighted means at the vertices, shape (vertices, properties).
@@ -81,33 +103,67 @@ class RockFields:
             table: values of every unit, shape (units, properties).
             cell, weights, unit, area: as in `fill`.
         """
-        nodes = self.spaces.q_nodes
+        nodes = self.spaces.h_nodes
         return _hat_means(table, cell, weights, unit, area, nodes, self._vertices, BACKGROUND)
 
-    def _values(self, kind, column, hats, x, cell, unit, area):
+    def _values(self, kind, column, hats, x, cell, weights, unit, area):
         if kind == "hat":
             return hats[:, column]
         table = (self._density, self._mean)[column]
-        fallback = hats[self.spaces.q_nodes, column].mean(axis=1)
+        fallback = hats[self.spaces.h_nodes, column].mean(axis=1)
         if kind == "cell":
             return _cell_means(table[unit], cell, area, fallback)
+        if kind == "linear":
+            return _cell_planes(table[unit], cell, weights, area, fallback).ravel()
         return self._around_points(table[unit], x, cell, area, fallback)
 
     def _around_points(self, values, x, cell, area, fallback):
         """Return arithmetic means within a radius of every quadrature point (paper, sect. 3.4)."""
         corners = self.index.corners
         if self._around is None:
-            self._around = _cells_around(self.spaces.q_nodes)
-        lam = np.column_stack([1 - self._points.sum(axis=1), self._points])
+            self._around = _cells_around(self.spaces.h_nodes)
         radius = np.sqrt(self.index.area.min())
         inside = np.flatnonzero(cell != OUTSIDE)
         order = inside[np.argsort(cell[inside], kind="stable")]
         first = np.searchsorted(cell[order], np.arange(len(corners) + 1))
-        points = np.einsum("qk,ckd->cqd", lam, corners)
+        points = np.einsum("qk,ckd->cqd", self._hats_at_points, corners)
         means = _point_means(
             points, radius, x[order], values[order], area[order], first, *self._around, fallback
         )
         return means.ravel()
+
+
+class FittedFields:
+    """Density and viscosity on a mesh whose lines follow the rock: one rock in every cell.
+
+    Args:
+        spaces: `Spaces`.
+        density, viscosity: of every unit, as for `RockFields`.
+        unit: of every cell, shape (cells,).
+
+    Attributes:
+        rho, eta: as in `RockFields`.
+    """
+
+    def __init__(self, spaces, density, viscosity, unit):
+        self.unit = unit
+        self.rho = fem.Function(spaces.D, name="density")
+        self.eta = fem.Function(spaces.D, name="viscosity")
+        self.rho.x.array[:] = np.asarray(density, float)[unit]
+        self.eta.x.array[:] = np.asarray(viscosity, float)[unit]
+
+    def density_means(self):
+        """Return the density of every cell, shape (cells,), kg/m^3."""
+        return self.rho.x.array.copy()
+
+    def viscosity_means(self):
+        """Return the viscosity of every cell over the reference, shape (cells,)."""
+        return self.eta.x.array.copy()
+
+
+def cell_means(function):
+    """Return the mean of the values of a function in every cell, shape (cells,)."""
+    return function.x.array[nodes(function.function_space)].mean(axis=1)
 
 
 @numba.njit(cache=True)
@@ -119,7 +175,7 @@ def _hat_means(table, cell, weights, unit, area, nodes, n_nodes, background):
         c = cell[i]
         if c < 0:
             continue
-        for k in range(3):
+        for k in range(nodes.shape[1]):
             w = weights[i, k] * area[i]
             weight[nodes[c, k]] += w
             for j in range(properties):
@@ -127,8 +183,8 @@ def _hat_means(table, cell, weights, unit, area, nodes, n_nodes, background):
     near_total = np.zeros((n_nodes, properties))
     near_weight = np.zeros(n_nodes)
     for c in range(len(nodes)):
-        for k in range(3):
-            for m in range(3):
+        for k in range(nodes.shape[1]):
+            for m in range(nodes.shape[1]):
                 near_weight[nodes[c, k]] += weight[nodes[c, m]]
                 for j in range(properties):
                     near_total[nodes[c, k], j] += total[nodes[c, m], j]
@@ -153,9 +209,63 @@ def _cell_means(values, cell, area, fallback):
     return total
 
 
+# Least spread of the particles of a cell, over the cell's size squared, for a plane through them;
+# a triangle evenly filled has 1/18 along each reference axis.
+LEAST_SPREAD = 5e-3
+
+
+@numba.njit(cache=True)
+def _cell_planes(values, cell, hats, area, fallback):
+    """Return least-squares planes of the particles of every cell at its corners, (cells, k).
+
+    A plane keeps the mean of the particles at their centre, and is flattened until it stays within
+    their least and greatest value at every corner.
+    """
+    n_cells, k = len(fallback), hats.shape[1]
+    count = np.zeros(n_cells, np.int64)
+    sums = np.zeros((n_cells, 9))  # w, r, s, v, rr, rs, ss, rv, sv
+    low, high = np.full(n_cells, np.inf), np.full(n_cells, -np.inf)
+    for i in range(len(cell)):
+        c = cell[i]
+        if c < 0:
+            continue
+        r, s, v, w = hats[i, 1], hats[i, 2], values[i], area[i]
+        if k == 4:
+            r, s = r + hats[i, 3], s + hats[i, 3]
+        count[c] += 1
+        low[c], high[c] = min(low[c], v), max(high[c], v)
+        for j, q in enumerate((1.0, r, s, v, r * r, r * s, s * s, r * v, s * v)):
+            sums[c, j] += w * q
+    planes = np.empty((n_cells, k))
+    for c in range(n_cells):
+        if count[c] == 0:
+            planes[c, :] = fallback[c]
+            continue
+        w = sums[c, 0]
+        r, s, v = sums[c, 1] / w, sums[c, 2] / w, sums[c, 3] / w
+        rr, rs, ss = sums[c, 4] / w - r * r, sums[c, 5] / w - r * s, sums[c, 6] / w - s * s
+        rv, sv = sums[c, 7] / w - r * v, sums[c, 8] / w - s * v
+        det = rr * ss - rs * rs
+        gr, gs = 0.0, 0.0
+        if count[c] > 2 and det > LEAST_SPREAD**2:
+            gr, gs = (ss * rv - rs * sv) / det, (rr * sv - rs * rv) / det
+        scale = 1.0
+        for j in range(k):
+            slope = gr * ((j % 2 if k == 4 else (j == 1)) - r)
+            slope += gs * ((j // 2 if k == 4 else (j == 2)) - s)
+            planes[c, j] = slope
+            if slope > 0:
+                scale = min(scale, (high[c] - v) / slope)
+            elif slope < 0:
+                scale = min(scale, (low[c] - v) / slope)
+        for j in range(k):
+            planes[c, j] = v + scale * planes[c, j]
+    return planes
+
+
 def _cells_around(nodes):
     """Return, for every cell, the cells that share a vertex with it: offsets and list."""
-    cells = np.repeat(np.arange(len(nodes)), 3)
+    cells = np.repeat(np.arange(len(nodes)), nodes.shape[1])
     incidence = csr_matrix((np.ones(nodes.size), (cells, nodes.ravel())))
     shared = (incidence @ incidence.T).tocsr()
     return shared.indptr, shared.indices
@@ -178,40 +288,3 @@ def _point_means(points, radius, x, values, area, first, offsets, around, fallba
                         weight += area[i]
             mean[c, q] = total / weight if weight > 0 else fallback[c]
     return mean
-
-
-def velocity_at(nodes, values, cell, weights):
-    """Return the P2 velocity at points.
-
-    Args:
-        nodes: velocity nodes of every cell, shape (cells, 6).
-        values: velocity at the nodes, shape (nodes, 2), m/s.
-        cell: cells of the points, shape (n,); OUTSIDE gives zero.
-        weights: barycentric coordinates, shape (n, 3).
-
-    Returns:
-        Velocity, shape (n, 2), m/s.
-    """
-    return _velocity_at(nodes, values, cell, weights)
-
-
-@numba.njit(cache=True)
-def _velocity_at(nodes, values, cell, weights):
-    u = np.zeros((len(cell), 2))
-    for i in range(len(cell)):
-        c = cell[i]
-        if c < 0:
-            continue
-        a, b, d = weights[i, 0], weights[i, 1], weights[i, 2]
-        shape = (
-            a * (2 * a - 1),
-            b * (2 * b - 1),
-            d * (2 * d - 1),
-            4 * b * d,
-            4 * a * d,
-            4 * a * b,
-        )
-        for k in range(6):
-            u[i, 0] += shape[k] * values[nodes[c, k], 0]
-            u[i, 1] += shape[k] * values[nodes[c, k], 1]
-    return u

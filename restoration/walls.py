@@ -1,6 +1,6 @@
 """From the walls of a case to those of a scene, and what walls cannot do together."""
 
-from restoration.scene import NORMAL, Wall, normal_velocity
+from restoration.scene import Wall, normal_axis, normal_velocity
 from restoration.units import YEAR
 
 
@@ -11,7 +11,7 @@ def wall_of(name, entry):
         return Wall("no-slip", zero, zero)
     if entry.kind == "free-slip":
         held = [None, None]
-        held[NORMAL[name]] = 0.0
+        held[normal_axis(name, 2)] = 0.0
         return Wall("free-slip", tuple(held), zero)
     values = tuple(None if value is None else value.si for value in entry.values)
     if entry.kind == "velocity":
@@ -28,7 +28,7 @@ def loose(walls):
                 f"no wall holds the section from moving {way}; make one no-slip or free-slip"
             )
     turning = any(
-        wall.velocity[NORMAL[name]] is not None or None not in wall.velocity
+        wall.velocity[normal_axis(name, 2)] is not None or None not in wall.velocity
         for name, wall in walls.items()
     )
     if not turning and not messages:

@@ -26,7 +26,7 @@ from restoration.writing import check_room, disk_faults, replacing, write_text
 PART_SIZE = 64_000_000  # bytes after which the next .h5 is begun
 OVERHEAD = 200_000  # bytes, more than an .h5 needs for a frame besides the numbers
 NUMBERS = {"f8": "Float", "i2": "Short", "i4": "Int", "i8": "Int"}
-TRIANGLES = {3: "Triangle", 6: "Triangle_6"}
+CELLS = {3: "Triangle", 6: "Triangle_6", 9: "Quadrilateral_9"}  # by their nodes
 
 
 class _Series:
@@ -129,28 +129,29 @@ class _Series:
 class MeshSeries(_Series):
     """Fields on a mesh, frame by frame; see `_Series` for the arguments."""
 
-    def write(self, elapsed, points, triangles, point_data=None, cell_data=None, time=None):
+    def write(self, elapsed, points, cells, point_data=None, cell_data=None, time=None):
         """Add a frame. Geometry and topology that have not changed are not stored again.
 
         Args:
             elapsed: time run so far, forward and back, s; it must ascend.
             points: nodes, shape (n, 2), m.
-            triangles: nodes of every triangle, shape (m, 3), or (m, 6) for quadratic ones: the
-                corners, then the nodes in the middle of the edges 01, 12 and 20.
+            cells: nodes of every cell: of triangles, shape (m, 3), or (m, 6) for quadratic ones:
+                the corners, then the nodes in the middle of the edges 01, 12 and 20; of squares,
+                shape (m, 9): four corners going round, the middles of their edges, the centre.
             point_data: values at the nodes by name, shape (n,) or (n, 2), SI.
-            cell_data: values in the triangles by name, shape (m,) or (m, 2), SI.
+            cell_data: values in the cells by name, shape (m,) or (m, 2), SI.
             time: model time, s; appears as field ``model_time_Myr``.
 
         Raises:
             OutputError: the files could not be written.
         """
-        triangles = np.asarray(triangles, dtype=np.int32)
-        arrays = {"points": _numbers("points", points, len(points)), "topology": triangles}
+        cells = np.asarray(cells, dtype=np.int32)
+        arrays = {"points": _numbers("points", points, len(points)), "topology": cells}
         for name, values in (point_data or {}).items():
             arrays[f"point/{name}"] = _numbers(name, values, len(points))
         for name, values in (cell_data or {}).items():
-            arrays[f"cell/{name}"] = _numbers(name, values, len(triangles))
-        self._write(elapsed, time, TRIANGLES[triangles.shape[1]], arrays)
+            arrays[f"cell/{name}"] = _numbers(name, values, len(cells))
+        self._write(elapsed, time, CELLS[cells.shape[1]], arrays)
 
 
 class ParticleSeries(_Series):

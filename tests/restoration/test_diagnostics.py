@@ -19,14 +19,14 @@ def engine():
 
 def flow_of(engine, field):
     """The flow whose velocity is ``field`` at the nodes."""
-    x, z = engine.spaces.V.tabulate_dof_coordinates()[:, :2].T
+    x, z = engine.grid.spaces.V.tabulate_dof_coordinates()[:, :2].T
     u = np.column_stack(np.broadcast_arrays(*field(x, z), x)[:2])
-    return Flow(u, np.zeros(engine.spaces.q_nodes.max() + 1), 0.0)
+    return Flow(u, np.zeros(engine.grid.spaces.h_nodes.max() + 1), 0.0)
 
 
 def test_speeds_of_a_linear_flow_are_exact(engine):
     """Integrals of x^2 and z^2 over the box."""
-    rms, greatest = engine.speeds(flow_of(engine, lambda x, z: (2e-13 * x, -1e-13 * z)))
+    rms, greatest = engine.grid.speeds(flow_of(engine, lambda x, z: (2e-13 * x, -1e-13 * z)))
     assert rms == pytest.approx(1e-13 * np.sqrt((4 * WIDTH**2 + HEIGHT**2) / 3))
     assert greatest == pytest.approx(1e-13 * np.sqrt(4 * WIDTH**2 + HEIGHT**2))
 
@@ -34,7 +34,7 @@ def test_speeds_of_a_linear_flow_are_exact(engine):
 def test_a_stable_step_crosses_courant_squares_of_the_mesh(engine):
     flow = flow_of(engine, lambda x, z: (3e-9, -4e-9))
     square = np.sqrt(WIDTH / 12 * HEIGHT / 13)
-    step = engine.stable_step(State(0.0, None, (), flow))
+    step = engine.stable_step(State(0.0, None, (), flow, engine.grid))
     assert step == pytest.approx(0.25 * square / 5e-9)
 
 
@@ -68,6 +68,6 @@ def test_volumes_of_rock_under_a_relief():
             lines=(),
         )
     )
-    volume = volume_by_rock(engine, engine.start().particles)
+    volume = volume_by_rock(engine.scene, engine.grid, engine.start().particles)
     assert sum(volume.values()) == pytest.approx(4e6)
     assert volume == pytest.approx({"salt": 1.5e6, "sediment": 2.5e6}, rel=5e-3)

@@ -18,14 +18,14 @@ def engine():
 
 def read(engine, names, u=lambda x, z: (0 * x, 0 * x), p=lambda x, z: 0 * x):
     """Snapshot of a velocity and a pressure given as functions of x and z."""
-    at_v, at_q = (s.tabulate_dof_coordinates()[:, :2].T for s in (engine.spaces.V, engine.spaces.Q))
-    return engine.snapshot().read(Flow(np.column_stack(u(*at_v)), p(*at_q), 0.0), names)
+    at_v, at_q = (s.tabulate_dof_coordinates()[:, :2].T for s in (engine.grid.spaces.V, engine.grid.spaces.Q))
+    return engine.grid.snapshot.read(Flow(np.column_stack(u(*at_v)), p(*at_q), 0.0), names)
 
 
 def test_nodes_of_a_triangle_are_in_the_order_of_vtk(engine):
     """Three corners, then the middles of edges 01, 12 and 20."""
-    snapshot = engine.snapshot()
-    node = snapshot.points[snapshot.triangles]
+    snapshot = engine.grid.snapshot
+    node = snapshot.points[snapshot.cells]
     assert node[:, :3] == pytest.approx(engine.section.corners, abs=1e-6)
     for k in range(3):
         assert node[:, 3 + k] == pytest.approx((node[:, k] + node[:, (k + 1) % 3]) / 2, abs=1e-6)
@@ -35,12 +35,12 @@ def test_a_quadratic_velocity_is_found_inside_by_the_shape_functions_of_vtk(engi
     def field(x, z):
         return 1 + x * z - 2 * z**2, x**2 - 3 * z
 
-    snapshot = engine.snapshot()
+    snapshot = engine.grid.snapshot
     u = read(engine, ["velocity"], field)[0]["velocity"]
     a, b, c = weights = np.array([0.2, 0.5, 0.3])
     shape = [*weights * (2 * weights - 1), 4 * a * b, 4 * b * c, 4 * c * a]
     inside = np.einsum("k,ckd->cd", weights, engine.section.corners)
-    found = np.einsum("k,ckd->cd", shape, u[snapshot.triangles])
+    found = np.einsum("k,ckd->cd", shape, u[snapshot.cells])
     assert found == pytest.approx(np.column_stack(field(*inside.T)), rel=1e-9)
 
 
@@ -49,7 +49,7 @@ def test_a_linear_pressure_is_linear_at_all_nodes(engine):
         return 7 + 2 * x - 3 * z
 
     found = read(engine, ["pressure"], p=pressure)[0]["pressure"]
-    assert found == pytest.approx(pressure(*engine.snapshot().points.T))
+    assert found == pytest.approx(pressure(*engine.grid.snapshot.points.T))
 
 
 @pytest.mark.parametrize(

@@ -5,7 +5,7 @@ from meshes.box import section_mesh
 from restoration.particles import OUTSIDE, CellIndex
 from restoration.scene import Transfer
 from restoration.spaces import Spaces
-from restoration.transfer import RockFields, velocity_at
+from restoration.transfer import RockFields
 
 
 @pytest.fixture(scope="module")
@@ -120,18 +120,3 @@ def test_density_mean_around_points_is_local(box):
     centre = index.corners.mean(axis=1)
     assert (values[centre[:, 1] > -0.3] == 1).all()
     assert (values[centre[:, 1] < -0.7] == 0).all()
-
-
-def test_quadratic_velocity_is_exact_at_points(box):
-    spaces, index = box
-    at = spaces.V.tabulate_dof_coordinates()[:, :2]
-
-    def field(p):
-        x, z = p.T
-        return np.column_stack([1 + x * z - 2 * z**2, x**2 - 3 * z + 0.5 * x * z])
-
-    x, cell, weights = scattered(index)
-    u = velocity_at(spaces.v_nodes, field(at), cell, weights)
-    assert u == pytest.approx(field(x), abs=1e-12)
-    cell[:3] = OUTSIDE
-    assert (velocity_at(spaces.v_nodes, field(at), cell, weights)[:3] == 0).all()

@@ -49,7 +49,7 @@ def pushed(walls, shift):
     """A diapir after one step that moves all rock by ``shift``, m, and its engine."""
     plan = TimePlan((0.0, 1.0 * MYR), "euler", 1.0, 1)
     engine = StokesEngine(diapir_scene(cells=(6, 6), time=plan, walls=walls))
-    u = np.tile(np.array(shift) / MYR, (len(engine.spaces.V.tabulate_dof_coordinates()), 1))
+    u = np.tile(np.array(shift) / MYR, (len(engine.grid.spaces.V.tabulate_dof_coordinates()), 1))
     start = replace(engine.start(), flow=Flow(u, np.zeros(1), 0.0))
     return engine, start.particles, engine.advance(start, MYR).particles
 
@@ -78,8 +78,8 @@ def test_one_empty_cell_is_filled_where_a_wall_is_open(surface, born):
     scene = diapir_scene(cells=(6, 6), walls=diapir_scene().walls | {"surface": surface})
     engine = StokesEngine(scene)
     cloud = seed(scene)
-    cell, _ = engine.index.locate(cloud.x, cloud.cell)
-    some = cell != engine.index.guess(np.array([[WIDTH / 3, -HEIGHT / 2]]))
+    cell, _ = engine.grid.index.locate(cloud.x, cloud.cell)
+    some = cell != engine.grid.index.guess(np.array([[WIDTH / 3, -HEIGHT / 2]]))
     engine = StokesEngine(replace(scene, cloud=Cloud(cloud.x[some], cloud.unit[some])))
     assert engine.start().particles.born.sum() == engine.born == born
     assert engine.empty_cells == 1

@@ -1,0 +1,1 @@
+"""Analytic and published benchmarks: `restore bench`."""

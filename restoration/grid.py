@@ -1,0 +1,119 @@
+"""One mesh of a section with all that is made for it: spaces, cells of points, rock, the flow."""
+
+import numpy as np
+import ufl
+from dolfinx import fem
+from mpi4py import MPI
+from scipy.spatial import cKDTree
+
+from forms.elements import ELEMENTS
+from meshes.split import barycentric_mesh
+from restoration.particles import CellIndex, relocate
+from restoration.sampling import VelocitySampler
+from restoration.snapshot import FieldSnapshot
+from restoration.spaces import Spaces
+from restoration.stokes import StokesProblem
+from restoration.transfer import FittedFields, RockFields
+
+
+class Grid:
+    """A mesh and what is made for it.
+
+    Args:
+        scene: `scene.Scene`.
+        section: `meshes.data.SectionMesh`; split at the barycentres here where elements ask for it.
+        counts: `stokes.Counts` to go on with, or None.
+        regions: of a fitted mesh, (particles, points): what tells the unit of every region, see
+            `units_of_regions`; None where particles carry the rock.
+
+    Attributes:
+        section, spaces, index, fields, stokes, sampler: the parts.
+        sizes: side of the square that is split into cells of this area, shape (cells,), m.
+    """
+
+    def __init__(self, scene, section, counts=None, regions=None):
+        pair = ELEMENTS[scene.mesh.element]
+        section = barycentric_mesh(section) if pair.split else section
+        self.section, self.eta0 = section, float(scene.unit_viscosity.min())
+        self.spaces = Spaces(section, scene.mesh.element)
+        self.index = CellIndex(section)
+        density, viscosity = scene.unit_density, scene.unit_viscosity / self.eta0
+        if regions is None:
+            self.fields = RockFields(self.spaces, self.index, density, viscosity, scene.transfer)
+        else:
+            unit = units_of_regions(section, self.index, *regions, scene)
+            self.fields = FittedFields(self.spaces, density, viscosity, unit[section.regions])
+        self.stokes = StokesProblem(
+            section,
+            self.spaces,
+            self.fields.rho,
+            self.fields.eta,
+            self.eta0,
+            scene.walls,
+            scene.gravity,
+            scene.closed,
+            scene.one_viscosity,
+            scene.solver,
+            counts,
+        )
+        self.sampler = VelocitySampler(self.spaces)
+        triangles = {"triangle": 4, "quadrilateral": 1}[section.cell] * (3 if pair.split else 1)
+        self.sizes = np.sqrt(triangles * self.index.area)
+        self._u = fem.Function(self.spaces.V)
+        self._squared = fem.form(ufl.inner(self._u, self._u) * self.spaces.dx)
+        self._snapshot = None
+
+    def fill(self, particles, hats):
+        """Fill the fields from particles; those of a fitted mesh stand.
+
+        Args:
+            particles: located `Particles`.
+            hats: of the particles, see `CellIndex`.
+        """
+        if isinstance(self.fields, RockFields):
+            p = particles
+            self.fields.fill(p.x, p.cell, hats, p.unit, p.area)
+
+    def speeds(self, flow):
+        """Return root mean square and greatest speed, m/s."""
+        self._u.x.array[:] = flow.u.ravel()
+        comm = self.section.mesh.comm
+        squared = comm.allreduce(fem.assemble_scalar(self._squared), op=MPI.SUM)
+        greatest = comm.allreduce(float((flow.u**2).sum(axis=1).max()), op=MPI.MAX)
+        return float(np.sqrt(squared / self.section.area)), float(np.sqrt(greatest))
+
+    def fastest(self, flow):
+        """Return the greatest number of cells that the flow crosses in a time, 1/s."""
+        speed = np.linalg.norm(flow.u, axis=1)[self.spaces.v_nodes].max(axis=1)
+        return float((speed / self.sizes).max())
+
+    @property
+    def snapshot(self):
+        """The reader of the fields for files."""
+        if self._snapshot is None:
+            self._snapshot = FieldSnapshot(self.spaces, self.fields, self.eta0)
+        return self._snapshot
+
+
+def units_of_regions(section, index, particles, points, scene):
+    """Return the unit of every region of a fitted mesh: that of most of its particles.
+
+    Args:
+        section: fitted `meshes.data.SectionMesh`.
+        index: `CellIndex` of it.
+        particles: `Particles`, of whatever cells; None at the start, when the scene tells.
+        points: a point in every region, shape (regions, 2), m.
+        scene: `scene.Scene`.
+    """
+    if particles is None:
+        return scene.unit_at(points)
+    particles = relocate(particles, index)
+    inside = particles.inside
+    votes = np.zeros((len(points), len(scene.units)))
+    at = section.regions[particles.cell[inside]], particles.unit[inside]
+    np.add.at(votes, at, particles.area[inside])
+    unit = votes.argmax(axis=1)
+    silent = np.flatnonzero(votes.sum(axis=1) == 0)
+    if len(silent):  # thinner than the particles are apart
+        unit[silent] = particles.unit[inside][cKDTree(particles.x[inside]).query(points[silent])[1]]
+    return unit

@@ -1,0 +1,153 @@
+"""The mesh of a scene at a moment: it stands, follows the lines of the rock, or is adapted."""
+
+import numpy as np
+import ufl
+from dolfinx import fem
+from scipy.spatial import cKDTree
+
+from forms.elements import ELEMENTS
+from meshes.box import section_mesh
+from meshes.refine import adapted_mesh
+from meshes.section import MeshingError, fitted_mesh
+from restoration.errors import MeshError
+from restoration.lines import spaced
+from restoration.particles import OUTSIDE
+from restoration.seeding import graded
+
+ASIDE = 1e-4  # of the height: where the rocks on both sides of a line are asked for
+
+
+class Mesher:
+    """Makes the meshes of a run.
+
+    Args:
+        scene: `scene.Scene`.
+
+    Attributes:
+        coarsest, finest: side of the squares that become cells, at their largest and smallest, m.
+    """
+
+    def __init__(self, scene):
+        self.scene = scene
+        outline, plan = scene.outline, scene.mesh
+        self.coarsest = float(np.sqrt(outline.area / np.prod(scene.cells)))
+        self.finest = self.coarsest / 2 ** (plan.refine.levels if plan.refine else 0)
+        self.contacts = {line.name for line in scene.lines if _between_rocks(scene, line)}
+        self._base = None
+
+    def mesh(self, lines, grid=None, flow=None):
+        """Return the mesh for the lines where they are, and points in its regions.
+
+        Args:
+            lines: horizons and faults at this moment.
+            grid, flow: the last `Grid` and `Flow`, which a mesh adapted to the velocity needs.
+
+        Returns:
+            (`meshes.data.SectionMesh`, points), points of shape (regions, 2) of a fitted mesh,
+            else None.
+
+        Raises:
+            MeshError: no mesh follows these lines.
+        """
+        plan = self.scene.mesh
+        if plan.interfaces == "fitted":
+            return self._fitted(lines)
+        base = self._standing()
+        if plan.refine is None:
+            return base, None
+        sizes = [self._towards(lines, name) for name in ("interfaces", "faults")]
+        if "velocity-gradient" in plan.refine.where and flow is not None:
+            sizes.append(gradient_size(grid, flow, self.finest))
+        # `adapted_mesh` measures a triangle by the square of twice its area, half a cell's square.
+        return adapted_mesh(
+            base,
+            lambda x: np.min([np.full(len(x), np.inf), *(size(x) for size in sizes)], axis=0)
+            / np.sqrt(2),
+            plan.refine.levels,
+        ), None
+
+    def _standing(self):
+        if self._base is None:
+            outline = self.scene.outline
+            cell = ELEMENTS[self.scene.mesh.element].cells[0]
+            self._base = section_mesh(outline.surface, outline.base, self.scene.cells, cell)
+        return self._base
+
+    def _fitted(self, lines):
+        outline, plan = self.scene.outline, self.scene.mesh.refine
+        where = plan.where if plan else ()
+        follow = [line.points for line in lines if line.name in self.contacts]
+        if "faults" in where:
+            follow += [line.points for line in lines if line.kind == "fault"]
+        # the edges of a crossed square are its side and half its diagonal
+        share = 0.85
+        near = self.finest if where else self.coarsest
+        try:
+            return fitted_mesh(
+                outline.surface, outline.base, follow, share * self.coarsest, share * near
+            )
+        except MeshingError as error:
+            raise MeshError(
+                f"no mesh follows the horizons any more: {error}; let particles carry the rock "
+                "(mesh.interfaces: particles)"
+            ) from error
+
+    def _towards(self, lines, name):
+        """Return the wanted size of cells as a function of points, small near some lines."""
+        kept = [
+            spaced(line.points, self.finest / 2)
+            for line in lines
+            if name in self.scene.mesh.refine.where
+            and (line.kind == "fault" if name == "faults" else line.name in self.contacts)
+        ]
+        if not kept:
+            return lambda x: np.full(len(x), np.inf)
+        tree = cKDTree(np.concatenate(kept))
+        return lambda x: graded(tree.query(x)[0], self.finest)
+
+
+def _between_rocks(scene, line):
+    """Return whether a line anywhere parts two rocks."""
+    step = np.diff(line.points, axis=0)
+    length = np.linalg.norm(step, axis=1)
+    keep = length > 0
+    normal = np.column_stack([-step[:, 1], step[:, 0]])[keep] / length[keep, None]
+    middle = (line.points[1:] + line.points[:-1])[keep] / 2
+    rock = np.array([unit.rock for unit in scene.units])
+    one, two = (
+        rock[scene.unit_at(middle + side * ASIDE * scene.outline.height * normal)]
+        for side in (-1, 1)
+    )
+    return bool((one != two).any())
+
+
+def gradient_size(grid, flow, finest):
+    """Return the wanted size of cells as a function of points, small where the velocity bends.
+
+    The jump of the velocity gradient across the facets of a cell tells how far the flow is from
+    the quadratic that a cell can hold; it falls with the square of the size. Cells are to be so
+    small that it is nowhere above its mean over the cells of the last mesh (the equal share of
+    the error that Kelly et al. 1983, Int. J. Numer. Methods Eng. 19, ask for).
+
+    Args:
+        grid: `Grid` of the flow.
+        flow: `Flow`.
+        finest: least size that is given, m.
+    """
+    mesh = grid.section.mesh
+    u, test = fem.Function(grid.spaces.V), ufl.TestFunction(grid.spaces.D)
+    u.x.array[:] = flow.u.ravel()
+    jump = ufl.jump(ufl.grad(u))
+    form = fem.form(ufl.inner(jump, jump) * (test("+") + test("-")) * ufl.dS(domain=mesh))
+    jumps = fem.petsc.assemble_vector(form)
+    squared = jumps.array / np.sqrt(grid.index.area)  # per length of facets
+    strength = np.sqrt(np.maximum(squared, 0))
+    bound = strength.mean() or 1.0
+    wanted = grid.sizes * np.sqrt(bound / np.maximum(strength, 1e-6 * bound))
+    wanted = np.maximum(wanted, finest)
+
+    def size(x):
+        cell, _ = grid.index.locate(x, np.full(len(x), OUTSIDE, np.int32))
+        return np.where(cell == OUTSIDE, np.inf, wanted[cell])
+
+    return size

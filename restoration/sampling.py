@@ -1,0 +1,72 @@
+"""The velocity at points, for every pair of elements."""
+
+import basix
+import basix.ufl_wrapper
+import numba
+import numpy as np
+
+
+class VelocitySampler:
+    """Evaluates a velocity at points, for any element of `forms.elements`.
+
+    On every cell the velocity is a polynomial of the reference coordinates. Its coefficients are
+    found once for a flow; a point then costs a short sum.
+
+    Args:
+        spaces: `Spaces` of two dimensions.
+    """
+
+    def __init__(self, spaces):
+        self.nodes = spaces.v_nodes
+        cell = spaces.section.cell
+        element = basix.ufl_wrapper.convert_ufl_element(spaces.pair.velocity(cell)).element
+        self._square = cell == "quadrilateral"
+        self._powers = _powers(element.highest_degree, self._square)
+        points = basix.create_lattice(element.cell_type, 8, basix.LatticeType.equispaced, True)
+        values = element.tabulate(0, points)[0, :, :, 0]
+        monomials = np.prod(points[:, None, :] ** self._powers[None], axis=2)
+        # Shape functions as sums of monomials, exactly: the lattice is finer than their degree.
+        self._shape = np.linalg.lstsq(monomials, values, rcond=None)[0].T
+
+    def coefficients(self, u):
+        """Return the coefficients of a velocity (nodes, 2), shape (cells, monomials, 2)."""
+        return np.einsum("km,ckd->cmd", self._shape, u[self.nodes])
+
+    def __call__(self, coefficients, cell, hats):
+        """Return the velocity at points, shape (n, 2), m/s.
+
+        Args:
+            coefficients: of `coefficients`.
+            cell: cells of the points, shape (n,); OUTSIDE gives zero.
+            hats: of the points, shape (n, k), see `CellIndex`.
+        """
+        return _polynomial(coefficients, self._powers, cell, hats, self._square)
+
+
+def _powers(degree, square):
+    """Return the powers of the monomials of a degree, shape (monomials, 2)."""
+    powers = [
+        (i, j) for i in range(degree + 1) for j in range(degree + 1) if square or i + j <= degree
+    ]
+    return np.array(powers)
+
+
+@numba.njit(cache=True)
+def _polynomial(coefficients, powers, cell, hats, square):
+    u = np.zeros((len(cell), 2))
+    most = powers.max()
+    pr, ps = np.ones(most + 1), np.ones(most + 1)
+    for i in range(len(cell)):
+        c = cell[i]
+        if c < 0:
+            continue
+        r, s = hats[i, 1], hats[i, 2]
+        if square:
+            r, s = r + hats[i, 3], s + hats[i, 3]
+        for m in range(most):
+            pr[m + 1], ps[m + 1] = pr[m] * r, ps[m] * s
+        for m in range(len(powers)):
+            value = pr[powers[m, 0]] * ps[powers[m, 1]]
+            u[i, 0] += coefficients[c, m, 0] * value
+            u[i, 1] += coefficients[c, m, 1] * value
+    return u
