@@ -2,6 +2,7 @@
 
 import signal
 import threading
+from itertools import pairwise
 
 import numpy as np
 import shapely
@@ -18,7 +19,7 @@ CORNER = np.radians(30)  # sharper turns of a line are nodes
 BEND = np.radians(45)  # greatest turn of a line along one edge where it is short
 SLENDER = 0.25  # edges with another line nearer than this part of their length are halved
 HALVINGS = 3  # at most so many times for shape, and until nothing crosses
-MOST_HALVINGS = 12
+MOST_PASSES = 40
 GMSH = {
     "General.Terminal": 0,
     "General.Verbosity": 0,
@@ -102,7 +103,7 @@ def _cleaned(line):
 
 
 def _pieces(walls, lines, outline, snap):
-    """Return the lines and walls cut where they meet, as shapely lines between junctions."""
+    """Return the lines and walls cut at ends, corners and junctions, a list of (n, 2) arrays, m."""
     strings = _met(walls + lines, len(walls), snap)
     noded = shapely.get_parts(shapely.union_all(strings, grid_size=snap / 10))
     middles = shapely.line_interpolate_point(noded, 0.5, normalized=True)
@@ -114,7 +115,14 @@ def _pieces(walls, lines, outline, snap):
     for side in walls[:2]:
         at[np.abs(at[:, 0] - side[0, 0]) < snap, 0] = side[0, 0]
     noded = shapely.set_coordinates(noded, at)
-    return shapely.get_parts(shapely.line_merge(shapely.multilinestrings(noded)))
+    merged = shapely.get_parts(shapely.line_merge(shapely.multilinestrings(noded)))
+    ends = np.vstack([shapely.get_coordinates(shapely.get_point(strings, end)) for end in (0, -1)])
+    pieces = []
+    for points in map(shapely.get_coordinates, merged):
+        cuts = np.flatnonzero(np.isin(points @ [1, 1j], ends @ [1, 1j]))
+        rows = np.unique(np.concatenate([[0], cuts, [len(points) - 1]]))
+        pieces += [points[a : b + 1] for a, b in pairwise(rows)]
+    return pieces
 
 
 def _met(lines, walls, snap):
@@ -166,12 +174,12 @@ def _edges(pieces, walls, lines, sizes, snap):
         each edge is of, 0 inside, shape (k,), int32.
     """
     size, near, grading = sizes
-    middles = shapely.line_interpolate_point(pieces, 0.5, normalized=True)
+    strings = np.array([shapely.LineString(piece) for piece in pieces])
+    middles = shapely.line_interpolate_point(strings, 0.5, normalized=True)
     inner = np.zeros(len(pieces), dtype=bool)
     if lines:
         inner = shapely.dwithin(middles, shapely.MultiLineString(lines), 3 * snap)
-    fixed = np.vstack(walls[:2])
-    curves = [Curve(shapely.get_coordinates(piece), fixed) for piece in pieces]
+    curves = [Curve(piece) for piece in pieces]
     on_lines = [curve for curve, chosen in zip(curves, inner, strict=True) if chosen]
     for curve in on_lines:
         curve.sample(near, lambda x: np.full(len(x), near))
@@ -180,7 +188,7 @@ def _edges(pieces, walls, lines, sizes, snap):
         if not chosen:
             curve.sample(size, h_at)
     depth = [np.zeros(len(curve.t) - 1, dtype=int) for curve in curves]
-    for _ in range(MOST_HALVINGS):
+    for _ in range(MOST_PASSES):
         nodes, edges, of = _numbered(curves)
         bad = _bad_edges(nodes, edges, np.concatenate(depth), snap)
         if not bad.any():
@@ -198,7 +206,11 @@ def _edges(pieces, walls, lines, sizes, snap):
         tags[shapely.dwithin(middles, shapely.LineString(wall), 0.3 * snap)] = WALL_TAGS[name]
     order = np.argsort(-tags, kind="stable")  # of edges that coincide the one on a wall
     edges, first = np.unique(np.sort(edges[order], axis=1), axis=0, return_index=True)
-    return nodes, edges, tags[order][first]
+    tags = tags[order][first]
+    odd = np.bincount(edges[tags > 0].ravel(), minlength=len(nodes)) % 2 > 0
+    if odd.any():
+        raise MeshingError(f"a line cannot be told from a wall near {_place(nodes[odd][0])}")
+    return nodes, edges, tags
 
 
 def _numbered(curves):
@@ -243,15 +255,13 @@ class Curve:
         t: arc length at every node, shape (n,), m.
     """
 
-    def __init__(self, points, fixed):
+    def __init__(self, points):
         self.points = points
         steps = np.diff(points, axis=0)
         self.steps = np.hypot(*steps.T)
         self.s = np.concatenate([[0], np.cumsum(self.steps)])
         self.turn = np.zeros(len(points))
         self.turn[1:-1] = _turn(steps[:-1], steps[1:])
-        self.fixed = (points[:, None] == fixed).all(axis=2).any(axis=1)
-        self.fixed[[0, -1]] = True
         self.t = self.s[[0, -1]]
 
     @property
@@ -265,7 +275,8 @@ class Curve:
 
     def corners(self, h):
         """Return the rows of vertices that become nodes where the edges are about ``h`` long."""
-        keep = self.fixed.copy()
+        keep = np.zeros(len(self.s), dtype=bool)
+        keep[[0, -1]] = True
         rows = 1 + np.flatnonzero(self.turn[1:-1] > CORNER)
         here = self.at(self.s[rows])
         before = here - self.at(self.s[rows] - h / 4)

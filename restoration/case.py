@@ -13,7 +13,6 @@ from restoration.words import hint, listed, nearest, quoted
 
 # Entries of docs/design.md that are promised and not built: refused by name.
 LATER = {
-    ("mesh", "refine"): "mesh refinement is not built yet; raise mesh.cells instead",
     ("faults",): "faults with a strength of their own are not built yet; lines of a section file "
     "are followed and drawn",
     ("boundary", "front"): "sections are two-dimensional so far; remove this wall",
@@ -191,6 +190,31 @@ def _cross_faults(tree):
         if tree.raw(("boundary", name)) == "free":
             message = FREE_SURFACE if name == "surface" else "only the surface can be free"
             faults.append(tree.fault(("boundary", name), message))
+    return faults + _mesh_faults(tree)
+
+
+def _mesh_faults(tree):
+    """Return the faults of a mesh that cannot be what its entries say together."""
+    at = ("mesh",)
+    element, refine = tree.raw((*at, "element")), tree.raw((*at, "refine"))
+    squares = isinstance(element, str) and element.startswith("Q")
+    fitted, faults = tree.raw((*at, "interfaces")) == "fitted", []
+    if squares and refine is not None:
+        message = f"squares cannot be refined in part; {element} needs a mesh that stands still"
+        faults.append(tree.fault((*at, "refine"), f"{message}; take P2-P1 to refine", at="key"))
+    if squares and fitted:
+        message = f"mesh lines follow the rock in triangles only, and {element} lives on squares"
+        faults.append(tree.fault((*at, "interfaces"), f"{message}; take P2-P1"))
+    if fitted and tree.raw(("transfer",)) is not None:
+        message = "a fitted mesh averages nothing: every cell has one rock; remove it"
+        faults.append(tree.fault(("transfer",), message, at="key"))
+    if fitted and tree.raw(("section", "particles")) is not None:
+        message = "a cloud of particles brings no horizons that mesh lines could follow"
+        faults.append(tree.fault((*at, "interfaces"), message))
+    where = refine.get("where") if isinstance(refine, dict) else None
+    if fitted and where is not None and "velocity-gradient" in where:
+        message = "a fitted mesh is refined at interfaces and faults only"
+        faults.append(tree.fault((*at, "refine", "where"), message))
     return faults
 
 

@@ -22,7 +22,7 @@ def describe(loaded):
         loaded: `resolve.Loaded`.
     """
     scene = loaded.scene
-    triangles, count = unknowns(scene.cells)
+    cells, count = unknowns(scene.cells, scene.mesh.element)
     particles = count_points(scene) if scene.cloud is None else len(scene.cloud.x)
     spans = [b - a for a, b in pairwise(scene.time.marks)]
     steps = scene.time.min_steps * len(spans)
@@ -47,7 +47,8 @@ def describe(loaded):
         },
         "marks_s": list(scene.time.marks),
         "scheme": scene.time.scheme,
-        "cells": triangles,
+        "cells": cells,
+        "mesh_varies": scene.mesh.refine is not None or scene.mesh.interfaces == "fitted",
         "unknowns": count,
         "particles": particles,
         "memory_mb_about": round(BASE_MB + (count * PER_UNKNOWN + particles * PER_PARTICLE) / 1e6),
@@ -87,9 +88,13 @@ def describe_text(loaded):
         ends = f"from {time_label(scene, a)} to {time_label(scene, b)}"
         lines.append(f"march      {ends}, {way}")
     across, up = scene.cells
+    shape = "squares" if scene.mesh.element.startswith("Q") else "triangles"
+    refined = scene.mesh.refine is not None
+    about_text = " and more where it is finer" if refined else ""
+    rough = "about " if scene.mesh.interfaces == "fitted" else ""
     lines += [
-        f"mesh       {across} x {up} squares, {about['cells']} triangles, "
-        f"{about['unknowns']} unknowns",
+        f"mesh       {across} x {up} squares, {rough}{about['cells']} {shape}, "
+        f"{rough}{about['unknowns']} unknowns{about_text}",
         f"particles  {about['particles']}",
         f"work       at least {about['steps_at_least']} steps and "
         f"{about['stokes_solves_at_least']} Stokes solves; more where the flow is fast "

@@ -51,7 +51,8 @@ class StokesEngine:
             self.mesher = Mesher(scene)
             self.cell_size = self.mesher.finest
             section, points = self.mesher.mesh(self._first_lines())
-            self.grid = Grid(scene, section, self.counts, points and (None, points))
+            regions = None if points is None else (None, points)
+            self.grid = Grid(scene, section, self.counts, regions)
         self.start_area = self.grid.section.area
         self.fitted = scene.mesh.interfaces == "fitted"
         self.meshes = 1

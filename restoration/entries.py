@@ -21,6 +21,15 @@ PRESETS = {
 LONGEST = 1e4 * UNITS["time"]["Myr"]  # s, of a march
 HIGHEST = {"velocity": 1.0, "pressure": 1e12}  # of walls, SI
 COLOR = re.compile(r"#[0-9a-fA-F]{6}")
+ELEMENTS = ("P2-P1", "P2b-P1dg", "P2-P1dg", "MINI", "Q2-Q1", "Q2-P1dg")
+REFINED_AT = ("interfaces", "faults", "velocity-gradient")
+# Options of PETSc that a case may give: those that choose and tune. Viewers and monitors can write
+# files, and a case file must not.
+OPTION_STARTS = ("ksp_", "pc_", "mat_mumps_", "fieldsplit_", "mg_")
+OPTION = re.compile(
+    rf"(?!.*(?:view|monitor|log|dump|write|load|file|python|shell))(?:{'|'.join(OPTION_STARTS)})[a-z0-9_]+"
+)
+OPTION_VALUE = re.compile(r"[A-Za-z0-9_.,+-]{1,40}")
 
 
 class Entry(BaseModel):
@@ -234,10 +243,64 @@ class Boundary(Entry):
     surface: Wall = WallEntry(kind="free-slip")
 
 
+def read_where(value):
+    """Return where a mesh is refined, from one word or a list without repeats."""
+    words_given = value if isinstance(value, list) else [value]
+    for word in words_given:
+        if word not in REFINED_AT:
+            near = hint(word, REFINED_AT) if isinstance(word, str) else ""
+            raise ValueError(f"{quoted(word)} is not possible{near or possible(REFINED_AT)}")
+    if not words_given:
+        raise ValueError(f"names no place{possible(REFINED_AT)}")
+    return tuple(dict.fromkeys(words_given))
+
+
+def possible(known):
+    """Return the end of a message that lists what is possible."""
+    return f"; possible: {listed(known)}"
+
+
+class Refine(Entry):
+    """Where the mesh is finer, and how often it is adapted."""
+
+    levels: Annotated[int, Field(ge=1, le=8)] = 2
+    where: Annotated[tuple[str, ...], PlainValidator(read_where)] = ("interfaces", "faults")
+    every: Annotated[int, Field(ge=1, le=10**6)] = 1
+
+
 class Mesh(Entry):
     """The mesh."""
 
     cells: Annotated[int | tuple[int, int], PlainValidator(read_cells)] | None = None
+    element: words(*ELEMENTS) = "P2-P1"
+    interfaces: words("particles", "fitted") = "particles"
+    refine: Refine | None = None
+
+
+def read_options(value):
+    """Return options of the linear solver, (name, value) pairs of texts."""
+    if not isinstance(value, dict):
+        raise ValueError(f"{quoted(value)} is not a group of entries such as ksp_rtol: 1e-9")
+    pairs = []
+    for name, given in value.items():
+        if not isinstance(name, str) or not OPTION.fullmatch(name):
+            raise ValueError(
+                f"{quoted(name)} is no option of the solver; names begin with "
+                f"{listed(OPTION_STARTS)}, and what prints or writes files is not possible"
+            )
+        if isinstance(given, bool) or not isinstance(given, (int, float, str)):
+            raise ValueError(f"{name}: {quoted(given)} is not a number or a word")
+        if not OPTION_VALUE.fullmatch(str(given)):
+            raise ValueError(f"{name}: {quoted(given)} is not a number or a word")
+        pairs.append((name, str(given)))
+    return tuple(pairs)
+
+
+class Solver(Entry):
+    """How the Stokes matrix is solved."""
+
+    name: words("auto", "direct", "fieldsplit") = "auto"
+    options: Annotated[tuple[tuple[str, str], ...], PlainValidator(read_options)] = ()
 
 
 class Particles(Entry):
@@ -252,8 +315,8 @@ class Particles(Entry):
 class Transfer(Entry):
     """How rock goes from particles to fields."""
 
-    density: words("hat", "quadrature", "cell") = "hat"
-    viscosity: words("hat", "cell") = "hat"
+    density: words("hat", "linear", "quadrature", "cell") = "hat"
+    viscosity: words("hat", "linear", "quadrature", "cell") = "hat"
     mean: words("harmonic", "geometric", "arithmetic") = "harmonic"
 
 
@@ -304,6 +367,7 @@ class Case(Entry):
     mesh: Mesh = Mesh()
     particles: Particles = Particles()
     transfer: Transfer = Transfer()
+    solver: Solver = Solver()
     time: Time
     accuracy: words(*PRESETS) = "balanced"
     output: Output = Output()

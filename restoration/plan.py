@@ -4,24 +4,42 @@ from restoration.advection import FROZEN
 from restoration.units import show
 
 
-def unknowns(cells):
-    """Return triangles and unknowns of P2/P1 on crossed squares.
+def unknowns(cells, element="P2-P1"):
+    """Return cells and unknowns of a mesh of squares, crossed into triangles for most elements.
 
     Args:
         cells: columns and rows of squares.
+        element: name of the pair of elements.
     """
     across, up = cells
-    triangles = 4 * across * up
-    vertices = (across + 1) * (up + 1) + across * up
-    edges = vertices + triangles - 1  # Euler's formula for a disc
-    return triangles, 2 * (vertices + edges) + vertices
+    squares = across * up
+    if element.startswith("Q"):
+        vertices, count = (across + 1) * (up + 1), squares
+    else:
+        vertices, count = (across + 1) * (up + 1) + squares, 4 * squares
+    edges = vertices + count - 1  # Euler's formula for a disc
+    if element == "P2-P1dg":  # on triangles that are split in three
+        vertices, edges, count = vertices + count, edges + 3 * count, 3 * count
+    nodes = vertices + edges
+    velocity, pressure = {
+        "P2-P1": (nodes, vertices),
+        "P2b-P1dg": (nodes + count, 3 * count),
+        "P2-P1dg": (nodes, 3 * count),
+        "MINI": (vertices + count, vertices),
+        "Q2-Q1": (nodes + count, vertices),
+        "Q2-P1dg": (nodes + count, 3 * count),
+    }[element]
+    return count, 2 * velocity + pressure
 
 
 def active(scene):
     """Return what the scene requires, and nothing else, with the reason for each."""
-    parts = ["plane strain Stokes flow on P2/P1 triangles, solved directly"]
-    if scene.one_viscosity:
+    plan = scene.mesh
+    parts = [f"plane strain Stokes flow on {plan.element} elements", _solver(scene), _mesh(plan)]
+    if scene.one_viscosity and plan.refine is None and plan.interfaces == "particles":
         parts.append("one factorisation for the whole run: one viscosity, a mesh that stands still")
+    elif scene.one_viscosity:
+        parts.append("a factorisation for every mesh: one viscosity")
     else:
         parts.append("a factorisation for every solve: the viscosity moves with the rock")
     if scene.closed:
@@ -39,11 +57,36 @@ def active(scene):
     )
     if not scene.sealed:
         parts.append("particles born where rock flows in; rock that flows out does not come back")
-    parts.append(
-        f"density by {scene.transfer.density}, viscosity by {scene.transfer.viscosity} "
-        f"({scene.transfer.mean} mean)"
-    )
+    if plan.interfaces == "particles":
+        parts.append(
+            f"density by {scene.transfer.density}, viscosity by {scene.transfer.viscosity} "
+            f"({scene.transfer.mean} mean)"
+        )
     return parts
+
+
+def _solver(scene):
+    """Return how the matrix is solved, in words."""
+    given = "".join(f", {name}: {value}" for name, value in scene.solver.options)
+    names = {
+        "auto": "solved directly: two dimensions",
+        "direct": "solved directly",
+        "fieldsplit": "solved by FGMRES, velocity and pressure split",
+    }
+    return names[scene.solver.name] + given
+
+
+def _mesh(plan):
+    """Return what the mesh does, in words."""
+    refine = plan.refine
+    if plan.interfaces == "fitted":
+        text = "mesh lines follow the rock, a new mesh for every flow; nothing is averaged"
+        return text + (f"; up to 2^{refine.levels} times finer there" if refine else "")
+    if refine is None:
+        return "a mesh that stands still; particles carry the rock"
+    often = "every step" if refine.every == 1 else f"every {refine.every} steps"
+    at = " and ".join(refine.where)
+    return f"cells halved up to {refine.levels} times at {at}, {often}; particles carry the rock"
 
 
 def counts_back(scene):

@@ -9,6 +9,7 @@ from restoration.entries import (
     Case,
     Entry,
     Layer,
+    Mesh,
     Particles,
     Time,
     WallEntry,
@@ -18,10 +19,13 @@ from restoration.errors import CaseError
 from restoration.palette import unit_colors
 from restoration.scene import (
     WALLS,
+    MeshPlan,
     OutputPlan,
     ParticlePlan,
+    RefinePlan,
     Rock,
     Scene,
+    SolverPlan,
     TimePlan,
     Transfer,
     Unit,
@@ -132,6 +136,12 @@ def _scene(case, shape, outline, walls, cells, title, notes):
         ),
         cloud=shape.cloud,
         notes=tuple(notes),
+        mesh=MeshPlan(
+            case.mesh.element,
+            case.mesh.interfaces,
+            case.mesh.refine and RefinePlan(**dict(case.mesh.refine)),
+        ),
+        solver=SolverPlan(case.solver.name, case.solver.options),
     )
 
 
@@ -154,7 +164,10 @@ def resolved_yaml(case, scene, digest=None):
     if case.section.layers:
         for name in FILE_ENTRIES:
             entries["section"].pop(name, None)
-    entries["mesh"]["cells"] = list(scene.cells)
+    entries["mesh"] = _in_order(entries["mesh"] | {"cells": list(scene.cells)}, Mesh)
+    if case.mesh.interfaces == "fitted":  # which averages nothing
+        entries.pop("transfer")
+    entries["solver"]["options"] = dict(case.solver.options)
     entries["particles"]["per_cell"] = scene.particles.per_cell
     entries["time"] |= {"courant": scene.time.courant, "min_steps": scene.time.min_steps}
     for name, model in (("particles", Particles), ("time", Time)):
