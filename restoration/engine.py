@@ -132,9 +132,10 @@ class StokesEngine:
         """Make a mesh that follows the lines; return the particles located in it."""
         with self._timed("mesh"):
             section, points = self.mesher.mesh(lines)
+            particles = self._nowhere(particles)
             self.grid = Grid(self.scene, section, self.counts, (particles, points))
             self.meshes += 1
-            return relocate(self._nowhere(particles), self.grid.index)
+            return relocate(particles, self.grid.index)
 
     def _adapt(self, particles, lines):
         """Adapt the mesh; return the particles located in it."""
@@ -194,7 +195,10 @@ class StokesEngine:
         self._steps += 1
         with self._timed("advect"):
             x = self._on_walls(x)
-            particles = self._settled(relocate(state.particles, self.grid.index, x[:n]))
+            if self.fitted:  # the mesh they will be in is yet to come
+                particles = self._nowhere(replace(state.particles, x=x[:n]))
+            else:
+                particles = self._settled(relocate(state.particles, self.grid.index, x[:n]))
             lines = refined(
                 with_points(state.lines, x[n:]),
                 self.cell_size / LINE_POINTS_PER_CELL,

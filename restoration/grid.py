@@ -101,7 +101,7 @@ def units_of_regions(section, index, particles, points, scene):
     Args:
         section: fitted `meshes.data.SectionMesh`.
         index: `CellIndex` of it.
-        particles: `Particles`, of whatever cells; None at the start, when the scene tells.
+        particles: `Particles` without cells; None at the start, when the scene tells.
         points: a point in every region, shape (regions, 2), m.
         scene: `scene.Scene`.
     """
