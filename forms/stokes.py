@@ -66,3 +66,8 @@ def traction_load(v, traction, ds):
 def source_load(q, rate, length, dx):
     """Return the load that lets div(u) equal ``rate``, 1/s, in the form of `stokes_form`."""
     return -rate / length * q * dx
+
+
+def schur_mass(p, q, eta, length, dx):
+    """Return the pressure mass over the viscosity, which preconditions the Schur complement."""
+    return p * q / (length**2 * eta) * dx

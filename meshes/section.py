@@ -18,7 +18,7 @@ SNAP = 1e-6  # of the height: what is nearer than this meets
 CORNER = np.radians(30)  # sharper turns of a line are nodes
 BEND = np.radians(45)  # greatest turn of a line along one edge where it is short
 SLENDER = 0.25  # edges with another line nearer than this part of their length are halved
-HALVINGS = 3  # at most so many times for shape, and until nothing crosses
+SHORTEST = 1 / 8  # of the edge length on lines: no edge is halved for its shape below this
 MOST_PASSES = 40
 GMSH = {
     "General.Terminal": 0,
@@ -187,19 +187,15 @@ def _edges(pieces, walls, lines, sizes, snap):
     for curve, chosen in zip(curves, inner, strict=True):
         if not chosen:
             curve.sample(size, h_at)
-    depth = [np.zeros(len(curve.t) - 1, dtype=int) for curve in curves]
     for _ in range(MOST_PASSES):
         nodes, edges, of = _numbered(curves)
-        bad = _bad_edges(nodes, edges, np.concatenate(depth), snap)
+        bad = _bad_edges(nodes, edges, SHORTEST * near, snap)
         if not bad.any():
             break
         for row in np.unique(of[bad]):
-            here = bad[of == row]
-            curves[row].halve(here)
-            depth[row] = np.repeat(depth[row] + here, 1 + here)
+            curves[row].halve(bad[of == row])
     else:
-        where = nodes[edges[bad]][0].mean(axis=0)
-        raise MeshingError(f"lines cannot be told apart near {_place(where)}")
+        raise _too_near(nodes[edges[bad][0]])
     middles = shapely.points(np.vstack([c.at(0.5 * (c.t[:-1] + c.t[1:])) for c in curves]))
     tags = np.zeros(len(edges), dtype=np.int32)
     for name, wall in zip(PLANE_WALLS, walls, strict=True):
@@ -222,8 +218,15 @@ def _numbered(curves):
     return nodes, np.column_stack([row[first], row[first + 1]]), curve[first]
 
 
-def _bad_edges(nodes, edges, depth, snap):
-    """Return which edges cross or lie on another, or are long for the gap to another."""
+def _bad_edges(nodes, edges, shortest, snap):
+    """Return which edges cross or lie on another, or are long for the gap to another.
+
+    Args:
+        nodes: shape (n, 2), m.
+        edges: rows of nodes, shape (k, 2).
+        shortest: least length of an edge that was halved for its shape, m.
+        snap: edges below this that cross are beyond help, m.
+    """
     ends = nodes[edges]
     segments = shapely.linestrings(ends)
     length = shapely.length(segments)
@@ -234,7 +237,7 @@ def _bad_edges(nodes, edges, depth, snap):
     shared = same.any(axis=2).sum(axis=1)
     apart = shared == 0
     bad = np.zeros(len(edges), dtype=bool)
-    bad[one[apart & (depth[one] < HALVINGS)]] = True
+    bad[one[apart & (length[one] > 1.5 * shortest)]] = True
     a, b = one[apart], other[apart]
     crossing = shapely.dwithin(segments[a], segments[b], 1e-3 * snap)
     bad[a[crossing]] = True
@@ -243,6 +246,9 @@ def _bad_edges(nodes, edges, depth, snap):
     far = shapely.points(ends[b][~same[hinged].any(axis=1)])
     on = shapely.dwithin(far, segments[a], 1e-3 * snap)
     bad[a[on]] = True
+    hopeless = bad & (length < snap)
+    if hopeless.any():
+        raise _too_near(ends[hopeless][0])
     return bad
 
 
@@ -436,6 +442,12 @@ def _labelled(x, cells, edges, tags):
     walls = np.searchsorted(used, edges[wall])
     regions = region.astype(np.int32)
     return Arrays(x[used], cells.reshape(-1, 3), regions, walls, tags[wall]), points
+
+
+def _too_near(ends):
+    """Return the error for an edge, shape (2, 2), m, that cannot be parted from another."""
+    where = _place(ends.mean(axis=0))
+    return MeshingError(f"lines cannot be told apart near {where}; join them, or raise snap")
 
 
 def _place(point):

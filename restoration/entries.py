@@ -25,7 +25,7 @@ ELEMENTS = ("P2-P1", "P2b-P1dg", "P2-P1dg", "MINI", "Q2-Q1", "Q2-P1dg")
 REFINED_AT = ("interfaces", "faults", "velocity-gradient")
 # Options of PETSc that a case may give: those that choose and tune. Viewers and monitors can write
 # files, and a case file must not.
-OPTION_STARTS = ("ksp_", "pc_", "mat_mumps_", "fieldsplit_", "mg_")
+OPTION_STARTS = ("ksp_", "pc_", "mat_mumps_", "velocity_", "pressure_")
 OPTION = re.compile(
     rf"(?!.*(?:view|monitor|log|dump|write|load|file|python|shell))(?:{'|'.join(OPTION_STARTS)})[a-z0-9_]+"
 )

@@ -1,9 +1,27 @@
-"""Linear solvers of the Stokes matrix, by name. Settings are data: a table of PETSc options."""
+"""Linear solvers of the Stokes equations: a factorisation, and a field split for large problems.
 
+Both keep one mixed AIJ matrix ``A`` whose strong conditions were applied symmetrically, with a one
+on the diagonal. The field split is FGMRES with the upper block-triangular preconditioner
+
+    [ A_uu  B^T ]^-1        z_p = -M^-1 r_p               M: pressure mass over viscosity
+    [  0    -M  ]           z_u = K^-1 (r_u - B^T z_p)    K: one cycle of two-level multigrid
+
+where the coarse level of K holds the linear elements in the velocity space: they carry the rigid
+motions of a stiff body, which algebraic multigrid on P2 misses. The coarse matrix is factorised
+in 2-D and left to smoothed aggregation in 3-D.
+"""
+
+import numpy as np
 from petsc4py import PETSc
 
+from restoration.blocks import Blocks, rigid_motions
 from restoration.errors import SolveError, TooLargeError
 
+# Unknowns from which `auto` takes the field split, by dimensions. See docs/benchmarks.md.
+FIELDSPLIT_FROM = {2: 500_000, 3: 20_000}
+MANY_ITERATIONS = 100  # more tell that the viscosity is too rough for the field split
+# Orderings of MUMPS by unknowns: AMD, and PORD for large matrices. Debian's has no METIS or SCOTCH.
+ORDERING = {0: 0, 50_000: 4}
 # Growth of the workspace over MUMPS's own forecast, per cent; the next is tried when it overflows.
 WORKSPACE = (100, 300, 900)
 SMALL_WORKSPACE = (-8, -9)
@@ -12,31 +30,79 @@ PREFIX = "stokes_"
 
 DIRECT = {
     "ksp_type": "preonly",
-    "pc_type": "lu",
+    "pc_type": "cholesky",
     "pc_factor_mat_solver_type": "mumps",
 }
+FIELDSPLIT = {
+    "ksp_type": "fgmres",
+    "ksp_gmres_restart": 100,
+    "ksp_max_it": 200,
+    "ksp_rtol": 1e-8,
+    "pressure_ksp_type": "chebyshev",
+    "pressure_ksp_max_it": 4,
+    "pressure_ksp_chebyshev_esteig": "0,0.2,0,1.1",
+    "pressure_ksp_norm_type": "none",
+    "pressure_ksp_convergence_test": "skip",
+    "pressure_pc_type": "jacobi",
+    "velocity_ksp_type": "preonly",
+    "velocity_pc_type": "mg",
+    "velocity_mg_levels_ksp_type": "chebyshev",
+    "velocity_mg_levels_ksp_max_it": 2,
+    "velocity_mg_levels_pc_type": "jacobi",
+    "velocity_mg_coarse_ksp_type": "preonly",
+}
+COARSE_2D = {
+    "velocity_mg_coarse_pc_type": "cholesky",
+    "velocity_mg_coarse_pc_factor_mat_solver_type": "mumps",
+}
+# Jacobi, not SOR: an aggregate of one node leaves zeros on the diagonal of the next level.
+COARSE_3D = {
+    "velocity_mg_coarse_pc_type": "gamg",
+    "velocity_mg_coarse_pc_gamg_threshold": 0.01,
+    "velocity_mg_coarse_pc_gamg_square_graph": 0,
+    "velocity_mg_coarse_mg_levels_ksp_type": "chebyshev",
+    "velocity_mg_coarse_mg_levels_ksp_max_it": 3,
+    "velocity_mg_coarse_mg_levels_pc_type": "jacobi",
+}
+RESTARTS = 3
+
+
+def choose_solver(plan, dim, unknowns):
+    """Return the name of the solver, ``direct`` or ``fieldsplit``.
+
+    Args:
+        plan: `scene.SolverPlan`, or None for ``auto``.
+        dim: dimensions.
+        unknowns: number of unknowns.
+    """
+    name = plan.name if plan else "auto"
+    if name != "auto":
+        return name
+    return "fieldsplit" if unknowns >= FIELDSPLIT_FROM[dim] else "direct"
 
 
 class DirectSolver:
-    """Factorises by MUMPS.
+    """Factorises by MUMPS, and keeps the factors until the values of the matrix change.
 
     Args:
-        A: the matrix; its values may change before `update`.
+        A: symmetric matrix, assembled by `update`.
         options: PETSc options that replace those of `DIRECT`, names without prefix.
 
     Attributes:
-        factorisations: made so far.
-        iterations: of the last solve; a direct solve has one.
+        factorisations, iterations, vcycles: so far; a direct solve is one iteration.
     """
 
     def __init__(self, A, options=None):
         self.A, self.options = A, DIRECT | (options or {})
+        unknowns = A.getSize()[0]
+        ordering = max(size for size in ORDERING if size <= unknowns)
+        self.options.setdefault("mat_mumps_icntl_7", ORDERING[ordering])
         self.factorisations, self.iterations, self.vcycles = 0, 0, 0
         self._workspace, self._changed = 0, False
         self.ksp = None
 
     def update(self):
-        """Factorise the matrix as it is now at the next solve."""
+        """Factorise the matrix as it is now at the next solve; the analysis is kept."""
         if self.ksp is None:
             self._make()
         else:
@@ -54,7 +120,7 @@ class DirectSolver:
             self.factorisations += self._changed
             self.ksp.solve(b, x)
             self._changed = False
-            infog = self.ksp.getPC().getFactorMatrix().getMumpsInfog(1)
+            infog = _infog(self.ksp)
             if infog not in SMALL_WORKSPACE or self._workspace + 1 == len(WORKSPACE):
                 break
             self._workspace += 1
@@ -76,25 +142,168 @@ class DirectSolver:
     def _make(self):
         if self.ksp is not None:
             self.ksp.destroy()
-        self.ksp = PETSc.KSP().create(self.A.comm)
+        self.A.setOption(PETSc.Mat.Option.SYMMETRIC, True)
+        options = {"mat_mumps_icntl_14": WORKSPACE[self._workspace]} | self.options
+        self.ksp = _new_ksp(self.A.comm, PREFIX, options)
         self.ksp.setOperators(self.A)
-        apply_options(self.ksp, PREFIX, self.options)
-        self.ksp.getPC().setFactorSetUpSolverType()
-        factor = self.ksp.getPC().getFactorMatrix()
-        factor.setMumpsIcntl(14, WORKSPACE[self._workspace])
 
 
-def apply_options(ksp, prefix, options):
-    """Give a solver its options, and take them out of PETSc's global table again."""
-    table = PETSc.Options()
+class FieldsplitSolver:
+    """FGMRES with an upper block-triangular preconditioner, see above.
+
+    Args:
+        A: mixed matrix; attach its null space if the pressure has one.
+        blocks: `Blocks` of it; `update` assembles their Schur mass.
+        options: PETSc options that replace those of `FIELDSPLIT`, names without prefix; those of
+            the blocks begin with ``velocity_`` and ``pressure_``.
+
+    Attributes:
+        factorisations, iterations, vcycles: so far, of the coarse velocity, of FGMRES, and of the
+            multigrid of the velocity.
+        residual: true relative residual of the last solve.
+        floor: the same that rounding of the solution alone may cause, about.
+    """
+
+    def __init__(self, A, blocks, options=None):
+        self.A, self.blocks = A, blocks
+        self.factorisations, self.iterations, self.vcycles = 0, 0, 0
+        self.residual, self.floor = np.inf, 0.0
+        coarse = COARSE_2D if blocks.linear.mesh.topology.dim == 2 else COARSE_3D
+        self.ksp = _new_ksp(A.comm, PREFIX, FIELDSPLIT | coarse | (options or {}))
+        self.ksp.setPCSide(PETSc.PC.Side.RIGHT)
+        self.ksp.setInitialGuessNonzero(True)
+        self.ksp.getPC().setType("python")
+        self.ksp.getPC().setPythonContext(self)
+        self.ksp_u = _new_ksp(A.comm, f"{PREFIX}velocity_")
+        self.ksp_p = _new_ksp(A.comm, f"{PREFIX}pressure_")
+        first = A.getOwnershipRange()[0]
+        self.u_rows = blocks.velocity.getIndices() - first
+        self.p_rows = blocks.pressure.getIndices() - first
+        self.A_uu = self.A_up = self.coarse = None
+
+    def update(self):
+        """Set up anew: the values of the matrix and of the viscosity have changed."""
+        self.blocks.assemble()
+        u, p = self.blocks.velocity, self.blocks.pressure
+        self.A_uu = _extract(self.A, u, u, self.A_uu)
+        self.A_up = _extract(self.A, u, p, self.A_up)
+        self.A_uu.setOption(PETSc.Mat.Option.SPD, True)
+        if self.ksp_u.getPC().getType() == "mg":
+            self._update_levels(self.ksp_u.getPC())
+        for ksp, matrix in (
+            (self.ksp_u, self.A_uu),
+            (self.ksp_p, self.blocks.schur),
+            (self.ksp, self.A),
+        ):
+            ksp.setOperators(matrix)
+            ksp.setUp()
+        self.factorisations += 1
+        self.ru, self.zu = self.A_uu.createVecs()
+        self.rp, self.zp = self.blocks.schur.createVecs()
+
+    def _update_levels(self, pc):
+        new, P = self.coarse is None, self.blocks.prolongation
+        self.coarse = self.A_uu.ptap(P, result=self.coarse)
+        self.coarse.setOption(PETSc.Mat.Option.SPD, True)
+        self.coarse.setNearNullSpace(rigid_motions(self.blocks.linear))
+        if new:
+            self.coarse.setBlockSize(P.getBlockSizes()[1])
+            pc.setMGLevels(2)
+            pc.setMGInterpolation(1, P)
+            pc.setFromOptions()
+        pc.getMGCoarseSolve().setOperators(self.coarse)
+        pc.getMGSmoother(1).setOperators(self.A_uu)
+
+    def solve(self, b, x):
+        """Solve in place, from zero.
+
+        FGMRES starts again while the true residual is above the tolerance and above what
+        rounding allows.
+
+        Raises:
+            SolveError: PETSc reports a failure, or the residual stays too large.
+        """
+        r, diagonal = b.duplicate(), self.A.getDiagonal()
+        scale = b.norm() or 1.0
+        x.set(0)
+        for _ in range(RESTARTS):
+            self.ksp.solve(b, x)
+            self.iterations += self.ksp.getIterationNumber()
+            self.A.mult(x, r)
+            r.aypx(-1, b)
+            self.residual = r.norm() / scale
+            r.pointwiseMult(diagonal, x)
+            self.floor = np.finfo(float).eps * r.norm() / scale
+            if self.failure() is None or not np.isfinite(self.residual):
+                break
+        r.destroy()
+        diagonal.destroy()
+        if (why := self.failure()) is not None:
+            raise SolveError(
+                f"the iterative Stokes solve failed: {why}; the viscosity may be too rough for "
+                "it: take solver: {name: direct}"
+            )
+
+    def failure(self):
+        """Return why the last solve cannot be trusted, or None."""
+        pc = self.ksp_u.getPC()
+        coarse = pc.getMGCoarseSolve() if pc.getType() == "mg" else self.ksp_u
+        reason = _mumps_failure(coarse) or _krylov_failure(self.ksp)
+        if reason is None and not self.residual <= max(self.ksp.getTolerances()[0], self.floor):
+            reason = f"true relative residual {self.residual:.1e}"
+        return reason
+
+    def apply(self, pc, r, z):
+        """Write the preconditioned residual to ``z``; PETSc calls this."""
+        held = self.blocks.held
+        values = r.array_r
+        self.rp.array_w[:] = -values[self.p_rows]
+        self.ksp_p.solve(self.rp, self.zp)
+        self.zp.array_w[held] = values[self.p_rows[held]]
+        self.A_up.mult(self.zp, self.ru)
+        self.ru.array_w[:] = values[self.u_rows] - self.ru.array_r
+        self.ksp_u.solve(self.ru, self.zu)
+        self.vcycles += self.ksp_u.getIterationNumber()
+        values = z.array_w
+        values[self.u_rows], values[self.p_rows] = self.zu.array_r, self.zp.array_r
+
+
+def _extract(A, rows, cols, old):
+    """Return a block of A, in the matrix ``old`` if there is one.
+
+    PETSc 3.18 fills a reused submatrix wrongly on several ranks when the index set is not sorted.
+    """
+    if old is None or A.comm.size == 1:
+        return A.createSubMatrix(rows, cols, old)
+    new = A.createSubMatrix(rows, cols)
+    new.copy(old, PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
+    new.destroy()
+    return old
+
+
+def _new_ksp(comm, prefix, options=None):
+    database = PETSc.Options()
+    for name, value in (options or {}).items():
+        database[prefix + name] = value
+    ksp = PETSc.KSP().create(comm)
     ksp.setOptionsPrefix(prefix)
-    for name, value in options.items():
-        table[prefix + name] = value
     ksp.setFromOptions()
-    for name in options:
-        table.delValue(prefix + name)
+    return ksp
 
 
-def make_solver(plan, A, spaces, eta, length):
-    """Return the solver of a matrix."""
-    return DirectSolver(A)
+def _krylov_failure(ksp):
+    reason = ksp.getConvergedReason()
+    return None if reason > 0 else f"PETSc reason {reason}"
+
+
+def _mumps_failure(ksp):
+    pc = ksp.getPC()
+    if pc.getType() not in ("lu", "cholesky") or pc.getFactorSolverType() != "mumps":
+        return None
+    infog = _infog(ksp)
+    return None if infog == 0 else f"MUMPS INFOG(1) = {infog}"
+
+
+def _infog(ksp):
+    """Return INFOG(1) of MUMPS, zero where all is well."""
+    return ksp.getPC().getFactorMatrix().getMumpsInfog(1)

@@ -8,7 +8,8 @@ from dolfinx import fem
 from mpi4py import MPI
 from petsc4py import PETSc
 
-from forms.stokes import gravity_load, source_load, stokes_form
+from forms.stokes import gravity_load, schur_mass, source_load, stokes_form
+from restoration.blocks import Blocks
 from restoration.boundary import (
     outflow,
     pressure_pin,
@@ -17,9 +18,19 @@ from restoration.boundary import (
     wall_load,
 )
 from restoration.errors import SolveError
-from restoration.solvers import make_solver
+from restoration.solvers import (
+    MANY_ITERATIONS,
+    DirectSolver,
+    FieldsplitSolver,
+    choose_solver,
+)
 
 RESIDUAL = 1e-8
+# A stiff body that moves makes the residual larger than that by the rounding of the velocity alone:
+# its rows hold large forces that cancel. Such a solution is as exact as double precision holds one;
+# up to this residual the velocity was still right to a hundredth (`restore bench falling-block`).
+RESIDUAL_BY_ROUNDING = 1e-2
+ROUNDINGS = 100  # in the sum of a row
 
 
 @dataclass
@@ -102,18 +113,55 @@ class StokesProblem:
             # divergence-free flow can meet: spread over the section it does not spoil the pin.
             self.leak = self._prescribed_outflow(walls)
             leak.value = self.leak / area
+        self.solver_plan = solver
+        name = choose_solver(solver, section.dim, spaces.unknowns)
+        if closed and name == "direct":
             self.bcs = [*self.bcs, pressure_pin(spaces)]
         self._make_forms(rho, eta, walls, gravity, leak)
         self.A = fem.petsc.create_matrix(self.a)
         self.b = fem.petsc.create_vector(self.load)
         self.x, self.r = self.b.duplicate(), self.b.duplicate()
-        self.solver = make_solver(solver, self.A, spaces, eta, self.length)
+        self._null_space = None
+        self.solver, self._seen = self._make_solver(name, eta), (0, 0)
         self._assembled = False
         top = spaces.ds(section.wall_tags["surface"])
         self._p = fem.Function(spaces.Q)
         self._surface_pressure = fem.form(self._p * top)
         one = fem.Constant(section.mesh, PETSc.ScalarType(1))
         self._surface_length = self._total(fem.form(one * top))
+
+    def _make_solver(self, name, eta):
+        options = dict(self.solver_plan.options) if self.solver_plan else {}
+        if name == "direct":
+            return DirectSolver(self.A, options)
+        spaces = self.spaces
+        p, q = ufl.TrialFunction(spaces.Q), ufl.TestFunction(spaces.Q)
+        mass = fem.form(schur_mass(p, q, eta, self.length, spaces.dx))
+        if self.closed:
+            # A constant pressure; pinning one of its values would cost iterations.
+            constant = self.x.duplicate()
+            first, last = constant.getOwnershipRange()
+            owned = spaces.q_in_w[spaces.q_in_w < last - first]
+            constant.array_w[owned] = 1.0
+            constant.normalize()
+            self._null_space = PETSc.NullSpace().create(vectors=[constant], comm=self._comm)
+            self.A.setNullSpace(self._null_space)
+        return FieldsplitSolver(self.A, Blocks.build(spaces.W, self.bcs, mass), options)
+
+    def _fall_back(self):
+        """Go on with a direct solver: the viscosity is too rough for the field split."""
+        if self._null_space is not None:
+            self.A.setNullSpace(PETSc.NullSpace())
+            self._null_space = None
+            self.bcs = [*self.bcs, pressure_pin(self.spaces)]
+        self.solver, self._seen = self._make_solver("direct", None), (0, 0)
+        self._assembled = False
+        self.assemble()
+
+    @property
+    def _may_fall_back(self):
+        automatic = self.solver_plan is None or self.solver_plan.name == "auto"
+        return automatic and isinstance(self.solver, FieldsplitSolver)
 
     def _total(self, form):
         """Return the value of a form on all ranks."""
@@ -142,6 +190,8 @@ class StokesProblem:
         fem.petsc.apply_lifting(self.b, [self.a], [self.bcs])
         self.b.ghostUpdate(addv=PETSc.InsertMode.ADD, mode=PETSc.ScatterMode.REVERSE)
         fem.petsc.set_bc(self.b, self.bcs)
+        if self._null_space is not None:
+            self._null_space.remove(self.b)
 
     def solve(self):
         """Return the `Flow` of what was assembled last.
@@ -178,32 +228,61 @@ class StokesProblem:
 
     def _checked_solve(self):
         """Solve in place and return the true relative residual; raise unless it is small."""
-        before = self.solver.factorisations, self.solver.iterations
-        self.solver.solve(self.b, self.x)
+        before = self.solver.iterations
+        try:
+            self._solve(self.b, self.x)
+            slow = self._may_fall_back and self.solver.iterations - before > MANY_ITERATIONS
+        except SolveError:
+            if not self._may_fall_back:
+                raise
+            slow = True
+        if slow:
+            self._fall_back()
+            self._solve(self.b, self.x)
         scale = self.b.norm() or 1.0
         residual = self._residual() / scale
+        allowed = RESIDUAL
         for _ in range(3):
             if residual <= RESIDUAL or not np.isfinite(residual):
                 break
+            allowed = max(RESIDUAL, min(RESIDUAL_BY_ROUNDING, self._rounding() / scale))
+            if residual <= allowed:
+                break
             self._refine()
             residual = self._residual() / scale
-        self.counts.factorisations += self.solver.factorisations - before[0]
-        self.counts.krylov_iterations += self.solver.iterations - before[1]
-        if not residual <= RESIDUAL:  # also true for NaN
+        if not residual <= allowed:  # also true for NaN
             raise SolveError(
                 f"the Stokes solve is not accurate: relative residual {residual:.1e}, allowed "
-                f"{RESIDUAL:.0e}; the viscosity contrast may be too high"
+                f"{allowed:.0e}; the viscosity contrast may be too high"
             )
         return residual
+
+    def _solve(self, b, x):
+        """Solve in place, and count what that and the update before it took."""
+        before = self._seen
+        try:
+            self.solver.solve(b, x)
+        finally:
+            self._seen = self.solver.factorisations, self.solver.iterations
+            self.counts.factorisations += self._seen[0] - before[0]
+            self.counts.krylov_iterations += self._seen[1] - before[1]
 
     def _residual(self):
         self.A.mult(self.x, self.r)
         self.r.aypx(-1, self.b)
         return self.r.norm()
 
+    def _rounding(self):
+        """Return the norm of the residual that rounding of the solution alone may cause."""
+        diagonal = self.A.getDiagonal()
+        diagonal.pointwiseMult(diagonal, self.x)
+        size = diagonal.norm()
+        diagonal.destroy()
+        return ROUNDINGS * np.finfo(float).eps * size
+
     def _refine(self):
         correction = self.x.duplicate()
-        self.solver.solve(self.r, correction)
+        self._solve(self.r, correction)
         self.x.axpy(1, correction)
         correction.destroy()
         self.counts.refinements += 1

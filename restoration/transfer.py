@@ -56,7 +56,8 @@ class RockFields:
         self._mean = AVERAGED[transfer.mean](np.asarray(viscosity, float))
         space = {"hat": spaces.H, "cell": spaces.D, "quadrature": spaces.P}
         if "linear" in (transfer.density, transfer.viscosity):
-            space["linear"] = fem.FunctionSpace(spaces.section.mesh, ("DG", 1))
+            family = "DQ" if spaces.section.cell == "quadrilateral" else "DG"
+            space["linear"] = fem.FunctionSpace(spaces.section.mesh, (family, 1))
         self.rho = fem.Function(space[transfer.density], name="density")
         self.theta = fem.Function(space[transfer.viscosity], name="theta")
         self.eta = VISCOSITY_OF_MEAN[transfer.mean](self.theta)

@@ -42,6 +42,7 @@ ORDER = {
         "transfer",
         "sampling",
         "boundary",
+        "blocks",
         "solvers",
         "stokes",
         "snapshot",
