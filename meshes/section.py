@@ -19,7 +19,9 @@ CORNER = np.radians(30)  # sharper turns of a line are nodes
 BEND = np.radians(45)  # greatest turn of a line along one edge where it is short
 SLENDER = 0.25  # edges with another line nearer than this part of their length are halved
 SHORTEST = 1 / 8  # of the edge length on lines: no edge is halved for its shape below this
+FINEST = 1 / 32  # of the edge length on lines: the least that is asked for elsewhere
 MOST_PASSES = 40
+FLAT = 1e-9  # area per squared edges of a cell that is none
 GMSH = {
     "General.Terminal": 0,
     "General.Verbosity": 0,
@@ -173,7 +175,7 @@ def _edges(pieces, walls, lines, sizes, snap):
         Nodes, shape (n, 2), m; edges, rows of nodes in order, shape (k, 2); tag of the wall that
         each edge is of, 0 inside, shape (k,), int32.
     """
-    size, near, grading = sizes
+    size, near, _ = sizes
     strings = np.array([shapely.LineString(piece) for piece in pieces])
     middles = shapely.line_interpolate_point(strings, 0.5, normalized=True)
     inner = np.zeros(len(pieces), dtype=bool)
@@ -183,7 +185,7 @@ def _edges(pieces, walls, lines, sizes, snap):
     on_lines = [curve for curve, chosen in zip(curves, inner, strict=True) if chosen]
     for curve in on_lines:
         curve.sample(near, lambda x: np.full(len(x), near))
-    h_at = SizeField([curve.x for curve in on_lines], size, grading)
+    h_at = SizeField([curve.x for curve in on_lines], sizes)
     for curve, chosen in zip(curves, inner, strict=True):
         if not chosen:
             curve.sample(size, h_at)
@@ -336,8 +338,9 @@ def _turn(a, b):
 class SizeField:
     """Edge length that grows with the distance from lines; called with points (n, 2), m."""
 
-    def __init__(self, chains, size, grading):
-        self.size, self.grading, self.tree = size, grading, None
+    def __init__(self, chains, sizes):
+        self.size, near, self.grading = sizes
+        self.least, self.tree = FINEST * near, None
         if len(chains):
             ends = np.vstack([np.hstack([x[:-1], x[1:]]) for x in chains])
             x = np.vstack([ends[:, :2], ends[:, 2:], 0.5 * (ends[:, :2] + ends[:, 2:])])
@@ -350,7 +353,7 @@ class SizeField:
             return np.full(len(x), float(self.size))
         far, row = self.tree.query(x, k=min(8, len(self.length)))
         wanted = self.length[row] + self.grading * far
-        return np.minimum(wanted.reshape(len(x), -1).min(axis=1), self.size)
+        return np.clip(wanted.reshape(len(x), -1).min(axis=1), self.least, self.size)
 
 
 def _triangulated(nodes, edges, tags, sizes):
@@ -398,8 +401,8 @@ def _meshed(gmsh, nodes, edges, tags, sizes):
 
 def _field(gmsh, nodes, edges, sizes):
     """Return the gmsh field of edge lengths: linear between the nodes and a grid."""
-    size, _, grading = sizes
-    h_at = SizeField(nodes[edges], size, grading)
+    size = sizes[0]
+    h_at = SizeField(nodes[edges], sizes)
     low, high = nodes.min(axis=0) - size, nodes.max(axis=0) + size
     axes = [np.linspace(a, b, 2 + int((b - a) / size)) for a, b in zip(low, high, strict=True)]
     x = np.vstack([nodes, np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 2)])
@@ -419,8 +422,9 @@ def _labelled(x, cells, edges, tags):
     corners = x[cells]
     sides = np.roll(corners, -1, axis=1) - corners
     area = 0.5 * (sides[:, 0, 0] * sides[:, 1, 1] - sides[:, 0, 1] * sides[:, 1, 0])
-    if not area.all():
-        where = corners[np.argmin(np.abs(area))].mean(axis=0)
+    slender = np.abs(area) / (sides**2).sum(axis=(1, 2))
+    if slender.min() < FLAT:
+        where = corners[np.argmin(slender)].mean(axis=0)
         raise MeshingError(f"flat cells near {_place(where)}")
     ends = np.sort(np.stack([cells, np.roll(cells, -1, axis=1)], axis=2), axis=2).reshape(-1, 2)
     keys, key_of = np.unique(ends[:, 0] << 32 | ends[:, 1], return_inverse=True)

@@ -3,10 +3,10 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
-import ufl
 from dolfinx import cpp
 from dolfinx import mesh as dmesh
 from dolfinx.graph import create_adjacencylist
+from mpi4py import MPI
 
 from meshes.box import GHOSTS
 from meshes.data import SectionMesh
@@ -109,7 +109,7 @@ def assembled(arrays, wall_tags, flat, comm, with_regions=True):
         comm: MPI communicator.
         with_regions: whether the cells have regions.
     """
-    domain = ufl.Mesh(ufl.VectorElement("Lagrange", "triangle", 1))
+    domain = dmesh.create_unit_square(MPI.COMM_SELF, 1, 1).ufl_domain()  # straight triangles
     mesh = dmesh.create_mesh(comm, arrays.cells, arrays.x, domain, ghost_mode=GHOSTS)
     mesh.topology.create_connectivity(1, 2)
     facets, tags = cpp.io.distribute_entity_data(mesh._mesh, 1, arrays.walls, arrays.tags)

@@ -8,6 +8,8 @@ from petsc4py import PETSc
 from forms.stokes import slip_form, traction_load
 from restoration.scene import normal_axis
 
+TRACTION_DEGREE = 4  # of the polynomials that hold a traction given as a function
+
 
 def is_inclined_slip(name, wall, section):
     """Return whether a free-slip wall is inclined, so that u.n = 0 is held weakly."""
@@ -73,17 +75,25 @@ def wall_form(trial, test, eta, length, walls, section, spaces):
 
 def wall_load(v, scale, walls, section, spaces):
     """Return the load of the tractions divided by ``scale``; None if there are none."""
-    mesh = section.mesh
     terms = [
         traction_load(
             v,
-            ufl.as_vector([fem.Constant(mesh, PETSc.ScalarType(t / scale)) for t in wall.traction]),
+            ufl.as_vector([_traction(t, scale, section.mesh) for t in wall.traction]),
             spaces.ds(section.wall_tags[name]),
         )
         for name, wall in walls.items()
         if any(wall.traction)
     ]
     return sum(terms[1:], terms[0]) if terms else None
+
+
+def _traction(value, scale, mesh):
+    """Return a component of a traction, given by a number or a function of points."""
+    if not callable(value):
+        return fem.Constant(mesh, PETSc.ScalarType(value / scale))
+    given = fem.Function(fem.FunctionSpace(mesh, ("Lagrange", TRACTION_DEGREE)))
+    given.interpolate(lambda x: value(x[: mesh.topology.dim].T) / scale)
+    return given
 
 
 def outflow(u, walls, section, spaces):

@@ -71,7 +71,8 @@ class Wall:
         kind: ``no-slip``, ``free-slip``, ``velocity`` or ``traction``.
         velocity: prescribed components, m/s: a number, a function of points (n, dim), m, that
             gives (n,), or None where the component is not held.
-        traction: force per area on the components that are not held, Pa; 0 is stress-free.
+        traction: force per area on the components that are not held, Pa: a number or a function
+            as above; 0 is stress-free.
     """
 
     kind: str

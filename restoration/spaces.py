@@ -13,6 +13,7 @@ class Spaces:
     Args:
         section: `meshes.data.SectionMesh`; split at the barycentres where the pair asks for it.
         element: name in `forms.elements.ELEMENTS`.
+        degree: of the quadrature; None for the one of the elements.
 
     Attributes:
         pair: the `ElementPair`.
@@ -28,11 +29,11 @@ class Spaces:
         dx, ds: measures; ``ds`` takes the tag of a wall.
     """
 
-    def __init__(self, section, element="P2-P1"):
+    def __init__(self, section, element="P2-P1", degree=None):
         mesh, self.section = section.mesh, section
         self.pair = ELEMENTS[element]
         cell, dim = section.cell, section.dim
-        self.degree = self.pair.quadrature(cell)
+        self.degree = degree or self.pair.quadrature(cell)
         velocity = vector(self.pair.velocity(cell), dim)
         pressure = self.pair.pressure(cell)
         points = ufl.FiniteElement("Quadrature", cell, self.degree, quad_scheme="default")

@@ -48,7 +48,7 @@ def unit_cube(n, cell="tetrahedron"):
 
 
 class Solved:
-    """A Stokes problem of a closed box, solved.
+    """A Stokes problem of a box, solved; closed unless a wall bears a traction.
 
     Args:
         section: `meshes.data.SectionMesh`.
@@ -58,14 +58,25 @@ class Solved:
         walls: by name; None for free slip.
         solver: `scene.SolverPlan`, or None.
         eta0: least viscosity.
+        degree: of the quadrature; None for that of the elements.
 
     Attributes:
         spaces, problem, flow, seconds: what was made, and the wall seconds of all of it.
     """
 
-    def __init__(self, section, element, viscosity, density, walls=None, solver=None, eta0=1.0):
+    def __init__(
+        self,
+        section,
+        element,
+        viscosity,
+        density,
+        walls=None,
+        solver=None,
+        eta0=1.0,
+        degree=None,
+    ):
         clock = Clock()
-        self.spaces = Spaces(section, element)
+        self.spaces = Spaces(section, element, degree)
         walls = walls or free_slip_walls(section.dim)
         self.problem = StokesProblem(
             section,
@@ -75,7 +86,7 @@ class Solved:
             eta0,
             walls,
             1.0,
-            True,
+            all(wall.kind != "traction" for wall in walls.values()),
             False,
             solver,
         )

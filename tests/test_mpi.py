@@ -1,0 +1,41 @@
+"""The same answer on one, two and three ranks."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+ROOT = Path(__file__).parents[1]
+# Root may be all there is in a container; OpenMPI asks twice.
+SETTINGS = {"OMPI_ALLOW_RUN_AS_ROOT": "1", "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM": "1"}
+SETTINGS |= {"OMP_NUM_THREADS": "1", "PYTHONPATH": str(ROOT)}
+
+
+def on_ranks(script, ranks):
+    """Return the numbers that a script prints as JSON on its first rank."""
+    command = ["mpirun", "--oversubscribe", "-n", str(ranks), sys.executable, str(script)]
+    done = subprocess.run(
+        command, env=os.environ | SETTINGS, capture_output=True, text=True, timeout=600, check=False
+    )
+    assert done.returncode == 0, done.stderr[-2000:]
+    return json.loads(done.stdout.splitlines()[-1])
+
+
+@pytest.fixture(scope="module")
+def alone():
+    return on_ranks(ROOT / "tests/mpi_flows.py", 1)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("ranks", [2, 3])
+def test_flows_do_not_depend_on_the_ranks(alone, ranks):
+    together = on_ranks(ROOT / "tests/mpi_flows.py", ranks)
+    assert together.keys() == alone.keys()
+    off = {
+        name: float(np.abs(np.divide(together[name], alone[name]) - 1).max()) for name in alone
+    }
+    assert {name: error for name, error in off.items() if not error < 1e-9} == {}
