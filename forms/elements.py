@@ -112,12 +112,15 @@ ELEMENTS = {
     for pair in (
         ElementPair("P2-P1", SIMPLICES, lagrange(2), lagrange(1), True),
         ElementPair(
-            "P2b-P1dg", SIMPLICES, with_bubbles(2, faces=True), discontinuous("DG"), False, bubbles=True
+            "P2b-P1dg",
+            SIMPLICES,
+            with_bubbles(2, faces=True),
+            discontinuous("DG"),
+            False,
+            bubbles=True,
         ),
         # In three dimensions the split needs cubic velocities to be stable (Zhang 2005).
-        ElementPair(
-            "P2-P1dg", ("triangle",), lagrange(2), discontinuous("DG"), False, split=True
-        ),
+        ElementPair("P2-P1dg", ("triangle",), lagrange(2), discontinuous("DG"), False, split=True),
         ElementPair("MINI", SIMPLICES, with_bubbles(1), lagrange(1), True, bubbles=True),
         ElementPair("Q2-Q1", BOXES, lagrange(2), lagrange(1), True),
         ElementPair("Q2-P1dg", BOXES, lagrange(2), discontinuous("DPC"), False),

@@ -9,7 +9,7 @@ from dataclasses import fields, replace
 import numpy as np
 from mpi4py import MPI
 
-from meshes.split import NOTHING, Arrays, arrays_of, assembled
+from meshes.arrays import NOTHING, Arrays, arrays_of, assembled
 
 
 def refined_mesh(section, marked):

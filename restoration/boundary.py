@@ -102,7 +102,8 @@ def outflow(u, walls, section, spaces):
     held = [
         name
         for name, wall in walls.items()
-        if wall.velocity[normal_axis(name, section.dim)] is not None and not is_inclined_slip(name, wall, section)
+        if wall.velocity[normal_axis(name, section.dim)] is not None
+        and not is_inclined_slip(name, wall, section)
     ]
     terms = [ufl.dot(u, n) * spaces.ds(section.wall_tags[name]) for name in held]
     return sum(terms[1:], terms[0])

@@ -1,4 +1,4 @@
-"""The command line: ``restore run|check CASE``."""
+"""The command line: ``restore run|check CASE`` and ``restore bench``."""
 
 import argparse
 import json
@@ -10,6 +10,7 @@ from restoration import __version__
 from restoration.environment import check_environment, use_jit_cache, use_numba_cache
 from restoration.errors import CaseError, RestorationError
 
+MISSED = 1  # exit code where a benchmark misses a bound
 DESCRIPTION = "Restore geological sections by reverse-time Stokes flow."
 
 
@@ -63,6 +64,13 @@ def _parser():
             action="store_true",
             help="let the case name files outside its own folder",
         )
+    bench = commands.add_parser("bench", help="run analytic and published benchmarks")
+    bench.set_defaults(command=_bench)
+    bench.add_argument("names", nargs="*", metavar="NAME", help="benchmarks; default all")
+    bench.add_argument("--quick", action="store_true", help="coarser and fewer, minutes")
+    bench.add_argument("--json", action="store_true", help="print JSON and nothing else")
+    bench.add_argument("--list", action="store_true", help="list the benchmarks")
+    bench.add_argument("--out", metavar="DIR", help="write rows and a figure of each there")
     check.add_argument("--json", action="store_true", help="print JSON")
     run.add_argument("--out", metavar="DIR", help="run folder; default runs/<case>-<hash8>")
     run.add_argument("--fresh", action="store_true", help="throw an earlier run away")
@@ -114,6 +122,27 @@ def _run(options):
     else:
         print(summary(record, folder))
     return 0
+
+
+def _bench(options):
+    use_jit_cache()
+    from restoration.bench import suite
+
+    names = suite.chosen(options.names)
+    if options.list:
+        for name in names:
+            print(f"{name:<16} {suite.BENCHMARKS[name].__doc__.splitlines()[0]}")
+        return 0
+
+    def tell(text):
+        print(text, flush=True)
+
+    rows = suite.run_benchmarks(names, options.quick, options.out, None if options.json else tell)
+    if options.json:
+        print(json.dumps([row.plain() for row in rows], indent=1, allow_nan=False))
+    else:
+        print(suite.verdict(rows))
+    return 0 if all(row.held is not False for row in rows) else MISSED
 
 
 def summary(record, folder):

@@ -61,8 +61,9 @@ class Mesher:
         # `adapted_mesh` measures a triangle by the square of twice its area, half a cell's square.
         return adapted_mesh(
             base,
-            lambda x: np.min([np.full(len(x), np.inf), *(size(x) for size in sizes)], axis=0)
-            / np.sqrt(2),
+            lambda x: (
+                np.min([np.full(len(x), np.inf), *(size(x) for size in sizes)], axis=0) / np.sqrt(2)
+            ),
             plan.refine.levels,
         ), None
 

@@ -105,6 +105,8 @@ class StokesProblem:
         area = section.area
         # One cell size: then pressure and velocity columns are of one size where eta = eta0.
         self.length = float((area / section.cell_count) ** (1 / section.dim))
+        # a number in a form would be compiled anew for every mesh
+        self._length = fem.Constant(section.mesh, PETSc.ScalarType(self.length))
         self.bcs = velocity_conditions(walls, section, spaces)
         leak = fem.Constant(section.mesh, PETSc.ScalarType(0))
         self.leak = 0.0
@@ -136,7 +138,7 @@ class StokesProblem:
             return DirectSolver(self.A, options)
         spaces = self.spaces
         p, q = ufl.TrialFunction(spaces.Q), ufl.TestFunction(spaces.Q)
-        mass = fem.form(schur_mass(p, q, eta, self.length, spaces.dx))
+        mass = fem.form(schur_mass(p, q, eta, self._length, spaces.dx))
         if self.closed:
             # A constant pressure; pinning one of its values would cost iterations.
             constant = self.x.duplicate()
@@ -170,13 +172,13 @@ class StokesProblem:
     def _make_forms(self, rho, eta, walls, gravity, leak):
         spaces, section = self.spaces, self.section
         trial, test = ufl.TrialFunctions(spaces.W), ufl.TestFunctions(spaces.W)
-        a = stokes_form(*trial, *test, eta, self.length, spaces.dx)
-        slip = wall_form(trial, test, eta, self.length, walls, section, spaces)
+        a = stokes_form(*trial, *test, eta, self._length, spaces.dx)
+        slip = wall_form(trial, test, eta, self._length, walls, section, spaces)
         self.a = fem.form(a if slip is None else a + slip)
         down = np.zeros(section.dim)
         down[-1] = -gravity / self.eta0
         load = gravity_load(test[0], rho, fem.Constant(section.mesh, down), spaces.dx)
-        load += source_load(test[1], leak, self.length, spaces.dx)
+        load += source_load(test[1], leak, self._length, spaces.dx)
         push = wall_load(test[0], self.eta0, walls, section, spaces)
         self.load = fem.form(load if push is None else load + push)
 

@@ -27,10 +27,15 @@ def norms(solved):
     u.x.array[:], p.x.array[:] = solved.flow.u.ravel(), solved.flow.p
     x = ufl.SpatialCoordinate(spaces.section.mesh)
     up = u[spaces.section.dim - 1]
-    integrands = (ufl.inner(u, u), ufl.inner(ufl.grad(u), ufl.grad(u)), p**2, up * x[0] ** 2, p * x[0] ** 2)
+    integrands = (
+        ufl.inner(u, u),
+        ufl.inner(ufl.grad(u), ufl.grad(u)),
+        p**2,
+        up * x[0] ** 2,
+        p * x[0] ** 2,
+    )
     totals = [
-        comm.allreduce(fem.assemble_scalar(fem.form(f * spaces.dx)), op=MPI.SUM)
-        for f in integrands
+        comm.allreduce(fem.assemble_scalar(fem.form(f * spaces.dx)), op=MPI.SUM) for f in integrands
     ]
     largest = comm.allreduce(float(np.abs(solved.flow.u).max()), op=MPI.MAX)
     return [*totals, largest]

@@ -10,7 +10,7 @@ ROOT = Path(__file__).parents[1]
 
 ORDER = {
     "forms": ["elements", "rheology", "stokes"],
-    "meshes": ["data", "box", "split", "refine", "section"],
+    "meshes": ["data", "box", "arrays", "split", "refine", "noding", "curves", "section"],
     "restoration": [
         "errors",
         "words",
@@ -60,7 +60,23 @@ ORDER = {
         "recorder",
         "run",
         "check",
+        "bench",
         "cli",
+    ],
+    "restoration/bench": [
+        "rows",
+        "exact",
+        "reference",
+        "boxes",
+        "scenes",
+        "solutions",
+        "gravity",
+        "advection",
+        "van_keken",
+        "rest",
+        "solving",
+        "pictures",
+        "suite",
     ],
 }
 # What a package may import besides itself and the standard library; None for anything.
@@ -90,6 +106,10 @@ PLANTED = [
     ("restoration/run.py", "from importlib import import_module as load", "importlib"),
     ("restoration/run.py", "__import__('restoration.cli')", "__import__"),
     ("restoration/novel.py", "import ufl", "ORDER"),
+    ("restoration/bench/novel.py", "import ufl", "ORDER"),
+    ("restoration/bench/rows.py", "from restoration.bench.suite import keep", "bench.suite"),
+    ("restoration/bench/rows.py", "from restoration.cli import main", "restoration.cli"),
+    ("restoration/run.py", "from restoration.bench.rows import Row", "restoration.bench"),
 ]
 SOUND = [
     ("forms/stokes.py", "from dataclasses import dataclass\nfrom ufl import inner"),
@@ -97,6 +117,7 @@ SOUND = [
     ("meshes/box.py", "import numpy as np\nimport gmsh\nfrom meshes.data import SectionMesh"),
     ("restoration/units.py", "from restoration.errors import CaseError"),
     ("restoration/units.py", "from restoration import __version__, errors"),
+    ("restoration/bench/suite.py", "from restoration.bench import rows\nimport restoration.run"),
     ("restoration/run.py", "from forms.stokes import strain_rate\nimport meshes.box\nimport numba"),
     (
         "restoration/cli.py",
@@ -106,7 +127,7 @@ SOUND = [
 
 
 def modules(package):
-    """Return the names of all modules of a package; one in a subpackage counts by the first."""
+    """Return the names of all modules of a package; those of one inside it count by its name."""
     paths = (path.relative_to(ROOT / package) for path in (ROOT / package).rglob("*.py"))
     return sorted({path.parts[0].removesuffix(".py") for path in paths})
 
@@ -125,15 +146,22 @@ def imported(tree, package):
 
 def wrong_imports(name, text):
     """Return what the module file ``name``, such as ``forms/stokes.py``, may not import."""
-    package, module = name.removesuffix(".py").split("/")[:2]
+    package, module, *inner = name.removesuffix(".py").split("/")
     order = ORDER[package]
+    beside = ORDER.get(f"{package}/{module}", ())  # of a package inside the package
+    if inner and inner[0] != "__init__" and inner[0] not in beside:
+        return [f"{package}.{module}.{inner[0]} has no place in ORDER"]
+    before = beside[: beside.index(inner[0])] if inner and inner[0] in beside else ()
     if module != "__init__" and module not in order:
         return [f"{package}.{module} has no place in ORDER"]
     above = [] if module == "__init__" else order[: order.index(module)]
     wrong = []
     for target in imported(ast.parse(text), package):
-        first, second, *_ = [*target.split("."), ""]
-        if first == package:
+        first, second, third, *_ = [*target.split("."), "", ""]
+        if first == package and second == module and inner:
+            if third in beside and third not in before:
+                wrong.append(target)
+        elif first == package:
             if second in order and second not in above:
                 wrong.append(f"{first}.{second}")
         elif first in {*ORDER, "tests"}:
@@ -147,7 +175,10 @@ def wrong_imports(name, text):
     return wrong
 
 
-@pytest.mark.parametrize("package", ORDER)
+PACKAGES = [name for name in ORDER if "/" not in name]
+
+
+@pytest.mark.parametrize("package", PACKAGES)
 def test_every_module_imports_only_modules_above_it(package):
     paths = sorted((ROOT / package).rglob("*.py"))
     names = [path.relative_to(ROOT).as_posix() for path in paths]

@@ -25,17 +25,20 @@ def on_ranks(script, ranks):
     return json.loads(done.stdout.splitlines()[-1])
 
 
+@pytest.fixture(scope="module", params=["mpi_flows.py", "meshes/mpi_meshes.py"])
+def script(request):
+    return ROOT / "tests" / request.param
+
+
 @pytest.fixture(scope="module")
-def alone():
-    return on_ranks(ROOT / "tests/mpi_flows.py", 1)
+def alone(script):
+    return on_ranks(script, 1)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("ranks", [2, 3])
-def test_flows_do_not_depend_on_the_ranks(alone, ranks):
-    together = on_ranks(ROOT / "tests/mpi_flows.py", ranks)
+def test_nothing_depends_on_the_ranks(script, alone, ranks):
+    together = on_ranks(script, ranks)
     assert together.keys() == alone.keys()
-    off = {
-        name: float(np.abs(np.divide(together[name], alone[name]) - 1).max()) for name in alone
-    }
+    off = {name: float(np.abs(np.divide(together[name], alone[name]) - 1).max()) for name in alone}
     assert {name: error for name, error in off.items() if not error < 1e-9} == {}

@@ -123,9 +123,7 @@ class Solved:
         one = fem.Constant(mesh, 1.0)
 
         def total(integrand):
-            return mesh.comm.allreduce(
-                fem.assemble_scalar(fem.form(integrand * dx)), op=MPI.SUM
-            )
+            return mesh.comm.allreduce(fem.assemble_scalar(fem.form(integrand * dx)), op=MPI.SUM)
 
         area = total(one)
         shift, level = total(ph - reference[2]) / area, total(reference[2] * one) / area

@@ -69,15 +69,19 @@ def run_van_keken(quick):
             stokes_solves=1,
             wall_s=clock.seconds,
         )
-    runs = [(1, "particles", 32)] if quick else [
-        (1, "particles", 32),
-        (1, "particles", 64),
-        (1, "fitted", 40),
-        (10, "particles", 64),
-        (10, "fitted", 40),
-        (100, "particles", 64),
-        (100, "fitted", 40),
-    ]
+    runs = (
+        [(1, "particles", 32)]
+        if quick
+        else [
+            (1, "particles", 32),
+            (1, "particles", 64),
+            (1, "fitted", 40),
+            (10, "particles", 64),
+            (10, "fitted", 40),
+            (100, "particles", 64),
+            (100, "fitted", 40),
+        ]
+    )
     for ratio, interfaces, cells in runs:
         yield from _march(ratio, interfaces, cells, quick)
 
@@ -104,10 +108,10 @@ def _march(ratio, interfaces, cells, quick):
         times.append(state.time)
         speeds.append(state.grid.speeds(state.flow)[0])
 
-    march(engine.start(), engine, engine.scene.time, (note,), (lambda n, s: note(n, s),))
+    start = engine.with_flow(engine.start())
+    note(None, start)
+    march(start, engine, engine.scene.time, every_step=(note,))
     times, speeds = np.array(times), np.array(speeds)
-    order = np.argsort(times)
-    times, speeds = times[order], speeds[order]
     case = f"ratio {ratio}, {interfaces}, {cells} squares across"
     more = {
         "source": SOURCE,

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from meshes.box import section_mesh
+from meshes.box import PLANE_WALLS, section_mesh
 from restoration.scene import Outline
 
 RELIEF = Outline(
@@ -30,3 +30,9 @@ def test_rows_share_the_height_of_their_own_column():
     x = section_mesh(RELIEF.surface, RELIEF.base, (10, 4)).corners.reshape(-1, 2)
     here = x[np.abs(x[:, 0] - 700) < 1e-6]
     assert np.unique(here[:, 1].round(6)) == pytest.approx(np.linspace(-970, -80, 5))
+
+
+def test_a_plane_section_has_four_walls():
+    section = section_mesh(RELIEF.surface, RELIEF.base, (10, 4))
+    assert tuple(section.wall_tags) == PLANE_WALLS
+    assert set(section.facet_tags.values) == set(section.wall_tags.values())

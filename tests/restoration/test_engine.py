@@ -66,7 +66,9 @@ def test_horizons_and_volumes_come_back(journey):
     engine, (first, top, last) = journey
     (row,) = line_distances(first.lines, last.lines)
     assert row["max_m"] < 5
-    before, middle, after = (volume_by_rock(engine.scene, engine.grid, s.particles) for s in (first, top, last))
+    before, middle, after = (
+        volume_by_rock(engine.scene, engine.grid, s.particles) for s in (first, top, last)
+    )
     assert sum(before.values()) == pytest.approx(WIDTH * HEIGHT)
     assert abs(relative_change(before, after)["salt"]) < 1e-3
     # 12 cells across: the fields miss 1.2 % of the salt, which the flow itself has kept

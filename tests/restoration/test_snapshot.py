@@ -18,7 +18,9 @@ def engine():
 
 def read(engine, names, u=lambda x, z: (0 * x, 0 * x), p=lambda x, z: 0 * x):
     """Snapshot of a velocity and a pressure given as functions of x and z."""
-    at_v, at_q = (s.tabulate_dof_coordinates()[:, :2].T for s in (engine.grid.spaces.V, engine.grid.spaces.Q))
+    at_v, at_q = (
+        s.tabulate_dof_coordinates()[:, :2].T for s in (engine.grid.spaces.V, engine.grid.spaces.Q)
+    )
     return engine.grid.snapshot.read(Flow(np.column_stack(u(*at_v)), p(*at_q), 0.0), names)
 
 

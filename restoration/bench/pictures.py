@@ -1,0 +1,259 @@
+"""A figure for every benchmark, drawn from its rows alone."""
+
+import numpy as np
+
+from restoration.bench.exact import two_layer_growth_rate
+from restoration.bench.reference import RAMBERG, sinking_block_velocity
+from restoration.page import Page, style
+
+WIDTH, HEIGHT, LEFT, BOTTOM, TOP, GAP = 640, 520, 110, 90, 70, 120  # pixels of a panel
+KEY = 420  # and of the legend beside it
+MARKS = "osD^v<>Pph*X"
+
+
+@style()
+def draw(name, rows, path):
+    """Draw the figure of a benchmark as PNG.
+
+    Args:
+        name: of the benchmark.
+        rows: its `rows.Row`s.
+        path: path of the picture.
+    """
+    panels = PANELS[name](rows)
+    page = Page(LEFT + len(panels) * (WIDTH + GAP) + KEY - GAP, BOTTOM + HEIGHT + TOP)
+    handles = []
+    for i, (title, x_label, y_label, scales, series) in enumerate(panels):
+        axes = page.axes(LEFT + i * (WIDTH + GAP), BOTTOM, WIDTH, HEIGHT)
+        axes.set(xscale=scales[0], yscale=scales[1], xlabel=x_label, ylabel=y_label, title=title)
+        axes.grid(alpha=0.3)
+        for k, (label, (x, y, how)) in enumerate(series.items()):
+            color = f"C{k % 10}"
+            if how == "line":
+                drawn = axes.plot(x, y, "-", color="#888888" if k == 0 else color, label=label)
+            else:
+                mark = MARKS[(k + k // 10) % len(MARKS)]
+                drawn = axes.plot(x, y, how, marker=mark, color=color, ms=4, lw=1, label=label)
+            if label not in [handle.get_label() for handle in handles]:
+                handles += drawn
+    page.legend(handles, LEFT + len(panels) * (WIDTH + GAP) - GAP + 30, BOTTOM + HEIGHT)
+    page.save(path)
+
+
+def _grouped(rows, key, x, y, how="-"):
+    """Return series of rows by label: key, x and y are functions of a row."""
+    series = {}
+    for row in rows:
+        series.setdefault(key(row), ([], []))
+        series[key(row)][0].append(x(row))
+        series[key(row)][1].append(y(row))
+    return {
+        label: (np.array(xs)[np.argsort(xs)], np.array(ys)[np.argsort(xs)], how)
+        for label, (xs, ys) in series.items()
+    }
+
+
+def _rayleigh_taylor(rows):
+    crests = [row for row in rows if row.parameters.get("where") == "crest"]
+    eta2 = np.geomspace(1.25e20, 2.5e23, 100)
+    theory, errors = {}, {}
+    for wavelength in sorted({row.parameters["wavelength"] for row in crests}, reverse=True):
+        rate = [
+            two_layer_growth_rate(
+                2 * np.pi / wavelength,
+                RAMBERG["h1"],
+                RAMBERG["h2"],
+                RAMBERG["eta1"],
+                eta,
+                RAMBERG["rho1"] - RAMBERG["rho2"],
+                9.81,
+            )
+            for eta in eta2
+        ]
+        theory[f"linear theory, {wavelength / 1e3:g} km"] = (
+            eta2,
+            np.array(rate) * RAMBERG["amplitude"],
+            "line",
+        )
+    points = _grouped(crests, _wave, lambda r: r.parameters["eta2"], lambda r: r.value, "")
+    errors = _grouped(
+        crests, _wave, lambda r: r.parameters["eta2"], lambda r: abs(100 * r.relative_error)
+    )
+    log = ("log", "log")
+    return [
+        ("velocity of the crest", "eta2, Pa s", "m/s", log, theory | points),
+        ("off the exact flow at 3 km", "eta2, Pa s", "per cent (the paper: 2.5)", log, errors),
+    ]
+
+
+def _wave(row):
+    kind = "fitted" if row.parameters["fitted"] else "particles"
+    return f"{kind}, {row.parameters['wavelength'] / 1e3:g} km"
+
+
+def _falling_block(rows):
+    points = [row for row in rows if "contrast" in row.parameters]
+    ratio = np.linspace(-8.5, 8.5, 200)
+    curve = {"converged": (ratio, 9.81 * 500e3**2 * sinking_block_velocity(ratio), "line")}
+
+    def value(row):
+        return row.value if "eta2" in row.parameters else row.value * 9.81 * 500e3**2
+
+    def key(row):
+        return f"eta2 {row.parameters['eta2']:g}" if "eta2" in row.parameters else "unit block"
+
+    def at(row):
+        return row.parameters["contrast"]
+
+    off = _grouped(points, key, at, lambda r: 100 * r.relative_error)
+    linear = ("linear", "linear")
+    return [
+        (
+            "falling block",
+            "log10(eta2 / eta1)",
+            "v eta2 / (rho1 - rho2), m^3/s^2",
+            linear,
+            curve | _grouped(points, key, at, value, ""),
+        ),
+        ("off the converged curve", "log10(eta2 / eta1)", "per cent", linear, off),
+    ]
+
+
+def _rotation(rows):
+    gained = [row for row in rows if "years" in row.parameters]
+    series = _grouped(
+        gained,
+        lambda r: r.case,
+        lambda r: r.parameters["years"],
+        lambda r: max(abs(r.value), 1e-12),
+    )
+    title = "rotation: radius gained in a turn"
+    return [(title, "time step, years", "m", ("log", "log"), series)]
+
+
+def _vortex(rows):
+    panels = []
+    for when in ("half way", "at the end"):
+        some = [row for row in rows if row.metric.endswith(when) and "velocities" in row.parameters]
+        series = _grouped(
+            some,
+            lambda r: r.case,
+            lambda r: r.parameters["velocities"],
+            lambda r: max(r.value, 1e-16),
+        )
+        panels.append((f"single vortex, {when}", "velocities", "distance", ("log", "log"), series))
+    return panels
+
+
+def _errors(rows):
+    panels = []
+    for what in ("velocity", "pressure"):
+        some = [row for row in rows if row.metric.startswith(f"{what} error")]
+        worst = max((row.parameters["contrast"] for row in some), default=1)
+        some = [row for row in some if row.parameters["contrast"] == worst]
+
+        def key(row):
+            p = row.parameters
+            told = f", {p['transfer']} {p['mean']}" if "transfer" in p else ""
+            return f"{p['element']}{told}, {p['place']}"
+
+        some = [row for row in some if row.parameters.get("mean", "harmonic") != "geometric"]
+        some = [
+            row
+            for row in some
+            if "transfer" not in row.parameters
+            or (row.parameters["element"] in ("P2-P1", "Q2-Q1", "Q2-P1dg"))
+            and row.parameters["mean"] == "harmonic"
+        ]
+        series = _grouped(some, key, lambda r: r.parameters["squares"], lambda r: r.value)
+        title = f"{what}, contrast {worst:g}"
+        panels.append((title, "squares along a side", "relative L2 error", ("log", "log"), series))
+    return panels
+
+
+def _van_keken(rows):
+    peaks = [row for row in rows if row.metric == "greatest v_rms"]
+    panels = []
+    for ratio in sorted({row.parameters["ratio"] for row in peaks}):
+        series = {}
+        for row in peaks:
+            if row.parameters["ratio"] == ratio:
+                label = f"{row.parameters['interfaces']}, {row.parameters['squares']} across"
+                series[label] = (row.parameters["times"], row.parameters["speeds"], "-")
+        reference = [r.reference for r in peaks if r.parameters["ratio"] == ratio][0]
+        span = [0, max(max(x) for x, _, _ in series.values())]
+        series = {"published maximum": (span, [reference] * 2, "line")} | series
+        panels.append((f"van Keken, ratio {ratio}", "time", "v_rms", ("linear", "linear"), series))
+    return panels
+
+
+def _hydrostatic(rows):
+    panels = []
+    for case in dict.fromkeys(row.parameters["case"] for row in rows):
+        some = [row for row in rows if row.parameters["case"] == case]
+        series = _grouped(
+            some,
+            lambda r: r.parameters["element"],
+            lambda r: r.parameters["squares"],
+            lambda r: max(r.value, 1e-18),
+        )
+        panels.append((case, "squares along a side", "speed / falling", ("log", "log"), series))
+    return panels
+
+
+def _solvers(rows):
+    timed = [
+        row
+        for row in rows
+        if row.metric == "seconds of another solve"
+        and row.parameters["contrast"] == 1e6
+        and not row.parameters["what"]
+    ]
+    counted = [row for row in rows if row.metric == "iterations of FGMRES"]
+
+    def key(row):
+        return f"{row.parameters['dim']}-D, {row.parameters['solver']}"
+
+    def weigh(row):
+        return f"{row.parameters['dim']}-D, contrast {row.parameters['contrast']:g}"
+
+    def unknowns(row):
+        return row.unknowns
+
+    return [
+        (
+            "assembly and solve, structure known",
+            "unknowns",
+            "seconds",
+            ("log", "log"),
+            _grouped(timed, key, unknowns, lambda r: r.value),
+        ),
+        (
+            "iterations to 1e-8",
+            "unknowns",
+            "FGMRES iterations = cycles",
+            ("log", "linear"),
+            _grouped(counted, weigh, unknowns, lambda r: r.value),
+        ),
+    ]
+
+
+def _adaption(rows):
+    some = [row for row in rows if "over" in row.metric]
+    series = {row.metric: ([i], [row.value], "") for i, row in enumerate(some)}
+    return [("adaption of a mesh", "", "ratio to a Stokes solve", ("linear", "linear"), series)]
+
+
+PANELS = {
+    "rayleigh-taylor": _rayleigh_taylor,
+    "falling-block": _falling_block,
+    "rotation": _rotation,
+    "single-vortex": _vortex,
+    "solcx": _errors,
+    "solkz": _errors,
+    "solvi": _errors,
+    "van-keken": _van_keken,
+    "hydrostatic": _hydrostatic,
+    "solvers": _solvers,
+    "adaption": _adaption,
+}
