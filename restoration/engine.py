@@ -1,7 +1,8 @@
 """The engine that moves a section by Stokes flow.
 
 The loop (`run.march`) asks an engine for three things, `with_flow`, `stable_step` and `advance`,
-and knows nothing else of the physics; the recorder asks for `about`, `work` and `numbers`. A discrete-element engine will offer the same.
+and knows nothing else of the physics; the recorder asks for `about`, `work` and `numbers`. A
+discrete-element engine will offer the same.
 """
 
 import time
@@ -12,8 +13,8 @@ import numpy as np
 
 from restoration.advection import FROZEN, STEPPERS
 from restoration.errors import SolveError
-from restoration.lines import begin, points_of, refined, with_points
 from restoration.grid import Grid
+from restoration.lines import begin, points_of, refined, with_points
 from restoration.mesher import Mesher
 from restoration.particles import OUTSIDE, empty_cells, fill_cells, relocate, seed
 from restoration.plan import active

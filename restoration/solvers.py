@@ -14,7 +14,7 @@ in 2-D and left to smoothed aggregation in 3-D.
 import numpy as np
 from petsc4py import PETSc
 
-from restoration.blocks import Blocks, rigid_motions
+from restoration.blocks import rigid_motions
 from restoration.errors import SolveError, TooLargeError
 
 # Unknowns from which `auto` takes the field split, by dimensions. See docs/benchmarks.md.
@@ -287,7 +287,14 @@ def _new_ksp(comm, prefix, options=None):
         database[prefix + name] = value
     ksp = PETSc.KSP().create(comm)
     ksp.setOptionsPrefix(prefix)
-    ksp.setFromOptions()
+    try:
+        ksp.setFromOptions()
+    except PETSc.Error as error:
+        given = ", ".join(f"{name}: {value}" for name, value in (options or {}).items())
+        raise SolveError(
+            f"PETSc (error {error.ierr}) cannot make a solver of these options: {given}; see "
+            "solver.options"
+        ) from None
     return ksp
 
 
@@ -305,5 +312,7 @@ def _mumps_failure(ksp):
 
 
 def _infog(ksp):
-    """Return INFOG(1) of MUMPS, zero where all is well."""
+    """Return INFOG(1) of MUMPS, zero where all is well or another package is at work."""
+    if ksp.getPC().getFactorSolverType() != "mumps":
+        return 0
     return ksp.getPC().getFactorMatrix().getMumpsInfog(1)

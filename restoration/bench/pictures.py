@@ -162,8 +162,10 @@ def _errors(rows):
             row
             for row in some
             if "transfer" not in row.parameters
-            or (row.parameters["element"] in ("P2-P1", "Q2-Q1", "Q2-P1dg"))
-            and row.parameters["mean"] == "harmonic"
+            or (
+                (row.parameters["element"] in ("P2-P1", "Q2-Q1", "Q2-P1dg"))
+                and row.parameters["mean"] == "harmonic"
+            )
         ]
         series = _grouped(some, key, lambda r: r.parameters["squares"], lambda r: r.value)
         title = f"{what}, contrast {worst:g}"
@@ -180,7 +182,7 @@ def _van_keken(rows):
             if row.parameters["ratio"] == ratio:
                 label = f"{row.parameters['interfaces']}, {row.parameters['squares']} across"
                 series[label] = (row.parameters["times"], row.parameters["speeds"], "-")
-        reference = [r.reference for r in peaks if r.parameters["ratio"] == ratio][0]
+        reference = next(r.reference for r in peaks if r.parameters["ratio"] == ratio)
         span = [0, max(max(x) for x, _, _ in series.values())]
         series = {"published maximum": (span, [reference] * 2, "line")} | series
         panels.append((f"van Keken, ratio {ratio}", "time", "v_rms", ("linear", "linear"), series))

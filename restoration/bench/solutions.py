@@ -13,7 +13,6 @@ from restoration.bench.boxes import (
     Solved,
     cell_viscosity,
     prescribed_walls,
-    quadrature_points,
     unit_square,
 )
 from restoration.bench.exact import solcx, solkz, solvi

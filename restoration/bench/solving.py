@@ -94,7 +94,7 @@ def _told(dim, n, contrast, solver, solved, before, what=""):
     case = f"{what}{dim}-D, contrast {contrast:g}, {solved.spaces.unknowns} unknowns, {solver}"
     yield Row("solvers", case, "seconds of another solve", again, **more)
     residual = problem.counts.worst_residual
-    held = 1e-8 if contrast <= 1e4 or dim == 3 and contrast <= 1e6 else None
+    held = 1e-8 if contrast <= 1e4 or (dim == 3 and contrast <= 1e6) else None
     yield Row("solvers", case, "true relative residual", residual, 0.0, None, held, **more)
     if solver != "fieldsplit":
         return

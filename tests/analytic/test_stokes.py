@@ -7,11 +7,15 @@ import ufl
 from dolfinx import fem
 
 from meshes.box import section_mesh
+from restoration.bench.boxes import Solved, cell_viscosity, unit_square
+from restoration.bench.exact import manufactured, solcx
+from restoration.bench.solutions import solcx_density
+from restoration.bench.solving import sinking_block
 from restoration.errors import SolveError, TooLargeError
-from restoration.scene import Wall
+from restoration.scene import SolverPlan, Wall
+from restoration.solvers import DirectSolver, choose_solver
 from restoration.spaces import Spaces
 from restoration.stokes import StokesProblem
-from restoration.bench.exact import manufactured, solcx
 
 NO_SLIP = Wall("no-slip", (0.0, 0.0), (0.0, 0.0))
 SLIP_X = Wall("free-slip", (0.0, None), (0.0, 0.0))
@@ -236,8 +240,14 @@ class Mumps:
     def solve(self, b, x):
         self.end = next(self.ends)
 
+    def setOperators(self, _):
+        pass
+
     def getPC(self):
         return self
+
+    def getFactorSolverType(self):
+        return "mumps"
 
     def getFactorMatrix(self):
         return self
@@ -277,3 +287,64 @@ def test_nan_never_leaves_the_solver():
     eta.x.array[3] = np.nan
     with pytest.raises(SolveError):
         solved(problem(section, spaces, fem.Constant(section.mesh, 1.0), eta, SLIP_BOX))
+
+
+def sinking(contrast, solver, n=20, element="P2-P1"):
+    return sinking_block(2, n, contrast, solver, element)
+
+
+@pytest.mark.parametrize("element", ["P2-P1", "P2b-P1dg", "P2-P1dg", "MINI", "Q2-Q1", "Q2-P1dg"])
+def test_the_field_split_finds_the_flow_of_a_direct_solve(element):
+    one, other = (sinking(1e4, solver, 10, element) for solver in ("direct", "fieldsplit"))
+    assert other.flow.residual < 1e-8
+    assert other.problem.counts.krylov_iterations <= 60
+    scale = np.abs(one.flow.u).max()
+    assert other.flow.u == pytest.approx(one.flow.u, abs=1e-5 * scale)
+
+
+def test_a_stiff_block_that_moves_is_solved_to_rounding():
+    """Its rows cancel: the residual is above 1e-8, and the fall still right."""
+    soft, stiff = (sinking(contrast, "direct") for contrast in (1e6, 1e9))
+    assert 1e-8 < stiff.flow.residual < 1e-4
+    up = np.abs(soft.flow.u[:, 1]).max()
+    assert np.abs(stiff.flow.u[:, 1]).max() == pytest.approx(up, rel=1e-3)
+
+
+def test_a_contrast_beyond_double_precision_is_refused():
+    with pytest.raises(SolveError, match="the viscosity contrast may be too high"):
+        sinking(1e15, "direct")
+
+
+def test_a_field_split_that_stalls_gives_way_to_a_direct_solver(monkeypatch):
+    monkeypatch.setattr("restoration.solvers.FIELDSPLIT_FROM", {2: 0, 3: 0})
+    monkeypatch.setattr("restoration.stokes.MANY_ITERATIONS", 5)
+    solved = sinking(1e4, "auto", 10)
+    assert isinstance(solved.problem.solver, DirectSolver)
+    assert solved.problem.counts.krylov_iterations > 5
+    assert solved.flow.u == pytest.approx(sinking(1e4, "direct", 10).flow.u, abs=1e-9)
+
+
+def test_a_field_split_asked_for_by_name_fails_by_name():
+    section = unit_square("P2-P1", 10)
+    plan = SolverPlan("fieldsplit", (("ksp_max_it", "2"),))
+    one = cell_viscosity(lambda x: np.where(x[:, 0] < 0.5, 1, 1e4))
+    with pytest.raises(SolveError, match=r"solver: \{name: direct\}"):
+        Solved(section, "P2-P1", one, solcx_density, solver=plan)
+
+
+@pytest.mark.parametrize(("dim", "unknowns"), [(2, 1000), (2, 499_999), (3, 1000)])
+def test_small_problems_are_solved_directly(dim, unknowns):
+    assert choose_solver(None, dim, unknowns) == "direct"
+    assert choose_solver(SolverPlan("fieldsplit"), dim, unknowns) == "fieldsplit"
+
+
+def test_large_problems_in_three_dimensions_are_split():
+    assert choose_solver(SolverPlan(), 3, 30_000) == "fieldsplit"
+
+
+def test_options_that_petsc_cannot_read_are_told():
+    section = unit_square("P2-P1", 4)
+    plan = SolverPlan("direct", (("ksp_type", "mumps"),))
+    one = cell_viscosity(lambda x: np.ones(len(x)))
+    with pytest.raises(SolveError, match=r"ksp_type: mumps.*see solver\.options"):
+        Solved(section, "P2-P1", one, solcx_density, solver=plan)

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from restoration.check import describe, describe_text
+from restoration.entries import ELEMENTS
 from restoration.plan import unknowns
 from restoration.resolve import load
 from restoration.units import YEAR
@@ -29,14 +30,15 @@ def test_unknowns_of_one_square():
     assert unknowns((1, 1)) == (4, 2 * (5 + 8) + 5)
 
 
-def test_unknowns_are_those_of_the_solver(tmp_path):
-    from meshes.box import section_mesh
-    from restoration.spaces import Spaces
+@pytest.mark.parametrize("element", ELEMENTS)
+def test_unknowns_are_those_of_the_solver(element):
+    from restoration.engine import StokesEngine
 
-    scene = load(DEMO, ["mesh.cells=[5, 3]"]).scene
-    spaces = Spaces(section_mesh(scene.outline.surface, scene.outline.base, scene.cells))
-    triangles, count = unknowns(scene.cells)
-    assert triangles == 60
+    scene = load(DEMO, ["mesh.cells=[5, 3]", f"mesh.element={element}"]).scene
+    spaces = StokesEngine(scene).grid.spaces
+    cells, count = unknowns(scene.cells, element)
+    assert cells == spaces.section.cell_count
+    assert count == spaces.unknowns
     size = sum(s.dofmap.index_map.size_global * s.dofmap.index_map_bs for s in (spaces.V, spaces.Q))
     assert count == size
 
