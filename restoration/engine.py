@@ -134,6 +134,7 @@ class StokesEngine:
         with self._timed("mesh"):
             section, points = self.mesher.mesh(lines)
             particles = self._nowhere(particles)
+            self.grid.stokes.release()
             self.grid = Grid(self.scene, section, self.counts, (particles, points))
             self.meshes += 1
             return relocate(particles, self.grid.index)
@@ -142,6 +143,7 @@ class StokesEngine:
         """Adapt the mesh; return the particles located in it."""
         with self._timed("mesh"):
             section, _ = self.mesher.mesh(lines, self.grid, self._last_flow)
+            self.grid.stokes.release()
             self.grid = Grid(self.scene, section, self.counts)
             self.meshes += 1
             return self._settled(relocate(self._nowhere(particles), self.grid.index))

@@ -139,9 +139,13 @@ class DirectSolver:
                 "check that the walls hold the section and the range of viscosities"
             )
 
-    def _make(self):
+    def release(self):
+        """Give the memory of the factors back."""
         if self.ksp is not None:
             self.ksp.destroy()
+
+    def _make(self):
+        self.release()
         self.A.setOption(PETSc.Mat.Option.SYMMETRIC, True)
         options = {"mat_mumps_icntl_14": WORKSPACE[self._workspace]} | self.options
         self.ksp = _new_ksp(self.A.comm, PREFIX, options)
@@ -200,6 +204,14 @@ class FieldsplitSolver:
         self.factorisations += 1
         self.ru, self.zu = self.A_uu.createVecs()
         self.rp, self.zp = self.blocks.schur.createVecs()
+
+    def release(self):
+        """Give the memory of blocks and factors back."""
+        for held in (self.ksp, self.ksp_u, self.ksp_p, self.A_uu, self.A_up, self.coarse):
+            if held is not None:
+                held.destroy()
+        self.blocks.schur.destroy()
+        self.blocks.prolongation.destroy()
 
     def _update_levels(self, pc):
         new, P = self.coarse is None, self.blocks.prolongation

@@ -213,6 +213,16 @@ class StokesProblem:
             self._p.x.array[:] -= self._total(self._surface_pressure) / self._surface_length
         return Flow(u, self._p.x.array.copy(), residual)
 
+    def release(self):
+        """Give the memory of matrix and factors back; the problem cannot be solved any more.
+
+        PETSc keeps objects that Python has dropped until all ranks agree: a run with a new mesh
+        for every step would fill the memory.
+        """
+        self.solver.release()
+        for held in (self.A, self.b, self.x, self.r):
+            held.destroy()
+
     def _prescribed_outflow(self, walls):
         """Return the net flux through the walls as the mesh represents it, m^dim/s."""
         w = fem.Function(self.spaces.W)

@@ -77,6 +77,7 @@ def run_rayleigh_taylor(quick):
             crest = np.array([0.0, RAMBERG["h2"] + amplitude])
             trough = np.array([wavelength / 2, RAMBERG["h2"] - amplitude])
             found = velocity_at(state, np.array([crest, trough]))[:, 1]
+            state.grid.stokes.release()
             for where, value, reference in zip(
                 ("crest", "trough"), found, RAMBERG_VELOCITY[wavelength, eta2], strict=True
             ):
@@ -98,6 +99,7 @@ def run_rayleigh_taylor(quick):
         amplitude = 2e-4 * wavelength
         state = _first(ramberg_scene(wavelength, eta2, amplitude, True))
         value = velocity_at(state, np.array([[0.0, RAMBERG["h2"] + amplitude]]))[0, 1]
+        state.grid.stokes.release()
         rate = two_layer_growth_rate(
             2 * np.pi / wavelength,
             RAMBERG["h1"],
@@ -174,6 +176,7 @@ def fall(section, block, contrast, element="P2b-P1dg"):
     index, sampler = CellIndex(section), VelocitySampler(solved.spaces)
     cell, hats = index.locate(CENTRE, index.guess(CENTRE))
     u = sampler(sampler.coefficients(solved.flow.u), cell, hats)
+    solved.problem.release()
     return solved, float(-u[0, 1])
 
 
@@ -202,6 +205,7 @@ def run_falling_block(quick):
         scene = block_scene(eta1, eta2, rho1, 16 if quick else 25)
         state = _first(scene)
         velocity = -velocity_at(state, CENTRE * SIDE)[0, 1]
+        state.grid.stokes.release()
         value = velocity * eta2 / (rho1 - RHO2)
         contrast = float(np.log10(eta2 / eta1))
         reference = float(sinking_block_velocity(contrast)) * GRAVITY * SIDE**2

@@ -6,8 +6,7 @@ from restoration.bench.exact import two_layer_growth_rate
 from restoration.bench.reference import RAMBERG, sinking_block_velocity
 from restoration.page import Page, style
 
-WIDTH, HEIGHT, LEFT, BOTTOM, TOP, GAP = 640, 520, 110, 90, 70, 120  # pixels of a panel
-KEY = 420  # and of the legend beside it
+WIDTH, HEIGHT, LEFT, BOTTOM, TOP, GAP = 640, 520, 140, 90, 70, 150  # pixels of a panel
 MARKS = "osD^v<>Pph*X"
 
 
@@ -21,23 +20,49 @@ def draw(name, rows, path):
         path: path of the picture.
     """
     panels = PANELS[name](rows)
-    page = Page(LEFT + len(panels) * (WIDTH + GAP) + KEY - GAP, BOTTOM + HEIGHT + TOP)
-    handles = []
+    labels = list(dict.fromkeys(label for *_, series in panels for label in series))
+    key = 120 + 13 * max(map(len, labels))
+    height = max(HEIGHT, 29 * len(labels))
+    page = Page(LEFT + len(panels) * (WIDTH + GAP) - GAP + 30 + key, BOTTOM + height + TOP)
+    handles = {}
     for i, (title, x_label, y_label, scales, series) in enumerate(panels):
-        axes = page.axes(LEFT + i * (WIDTH + GAP), BOTTOM, WIDTH, HEIGHT)
+        place = LEFT + i * (WIDTH + GAP), BOTTOM + height - HEIGHT, WIDTH, HEIGHT
+        axes = page.axes(*place)
         axes.set(xscale=scales[0], yscale=scales[1], xlabel=x_label, ylabel=y_label, title=title)
         axes.grid(alpha=0.3)
-        for k, (label, (x, y, how)) in enumerate(series.items()):
-            color = f"C{k % 10}"
-            if how == "line":
-                drawn = axes.plot(x, y, "-", color="#888888" if k == 0 else color, label=label)
-            else:
-                mark = MARKS[(k + k // 10) % len(MARKS)]
-                drawn = axes.plot(x, y, how, marker=mark, color=color, ms=4, lw=1, label=label)
-            if label not in [handle.get_label() for handle in handles]:
-                handles += drawn
-    page.legend(handles, LEFT + len(panels) * (WIDTH + GAP) - GAP + 30, BOTTOM + HEIGHT)
+        for label, (x, y, how) in series.items():
+            handles.setdefault(label, _plot(axes, x, y, how, label, labels.index(label)))
+        for axis, scale in ((axes.xaxis, scales[0]), (axes.yaxis, scales[1])):
+            if scale == "log":
+                _plain_ticks(axis)
+        squares = sorted({int(v) for x, _, _ in series.values() for v in x})
+        if x_label.startswith("squares"):
+            axes.set_xticks(squares, [str(n) for n in squares])
+            axes.minorticks_off()
+    left = LEFT + len(panels) * (WIDTH + GAP) - GAP + 30
+    page.legend([handles[label] for label in labels], left, BOTTOM + height)
     page.save(path)
+
+
+def _plot(axes, x, y, how, label, number):
+    """Plot a series by its number among all labels: a grey or coloured line, or marks."""
+    color = f"C{number % 10}"
+    if how == "line":
+        (drawn,) = axes.plot(x, y, "-", color="#888888" if number == 0 else color, label=label)
+        return drawn
+    mark = MARKS[(number + number // 10) % len(MARKS)]
+    style_of = {"marker": mark, "color": color, "ms": 4, "lw": 1, "label": label}
+    (drawn,) = axes.plot(x, y, linestyle="-" if how else "none", **style_of)
+    return drawn
+
+
+def _plain_ticks(axis):
+    """Write the ticks of a logarithmic axis as plain numbers."""
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+
+    axis.set_major_locator(LogLocator(numticks=8))
+    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axis.set_minor_formatter(NullFormatter())
 
 
 def _grouped(rows, key, x, y, how="-"):

@@ -41,6 +41,7 @@ def run_hydrostatic(quick):
             for n in squares:
                 solved = make(name, n)
                 spurious = float(np.abs(solved.flow.u).max())
+                solved.problem.release()
                 held = ROUNDING if name in ROBUST and case != "layers inside squares" else None
                 if case == "layers on a mesh line":
                     held = ROUNDING  # every pressure holds it

@@ -28,6 +28,7 @@ PER_SQUARE = 8  # particles along the side of a square, in the averages
 HALF_OF_FACTS = 6e-3  # half the error of harmonic cell means with the jump inside cells, 65 squares
 ORDER = {"MINI": 2}  # of the velocity; 3 otherwise
 CONTRASTS = (1.0, 1e3, 1e6)
+SPARED = (None, 1.0, 1e6)  # jumps at which a continuous pressure leaves the velocity its order
 
 
 def solcx_density(spaces):
@@ -51,6 +52,7 @@ def run_solcx(quick):
             source,
             {"place": "on", "element": name, "contrast": contrast},
             smooth=contrast == 1,
+            jump=contrast,
         )
     chosen = [("P2-P1", "cell"), ("P2-P1", "linear"), ("P2-P1", "hat"), ("Q2-Q1", "linear")]
     pairs = chosen if quick else list(product(PLANE, TRANSFERS))
@@ -220,15 +222,28 @@ def _solvi(name, n, contrast, fitted=False, transfer=None):
 
 
 def _orders(
-    name, case, solved, exact, pair, source, parameters, smooth=False, bound=None, least_order=None
+    name,
+    case,
+    solved,
+    exact,
+    pair,
+    source,
+    parameters,
+    smooth=False,
+    bound=None,
+    least_order=None,
+    jump=None,
 ):
     """Yield the errors on every mesh, and the observed orders.
 
-    Orders are held where theory gives them: in the velocity for every pair, in the pressure for a
-    discontinuous one, or a continuous one where nothing jumps.
+    Orders are held where theory gives them: in velocity and pressure for a discontinuous pressure,
+    and for a continuous one where the true one is continuous. Where it jumps by a ``jump`` that is
+    not so high that the stiff side stands still, a continuous one spoils the velocity too.
     """
     sizes = [1 / n for n, _ in solved]
     errors = np.array([solution.errors(exact) for _, solution in solved])
+    for _, solution in solved:
+        solution.problem.release()
     for (n, solution), (u, p) in zip(solved, errors, strict=True):
         last = n == solved[-1][0]
         more = {"source": source, "parameters": parameters | {"squares": n}, **solution.size}
@@ -238,7 +253,7 @@ def _orders(
     for column, metric in enumerate(("velocity order", "pressure order")):
         order = observed_order(sizes, errors[:, column])
         expected = None
-        if pair is not None and column == 0:
+        if pair is not None and column == 0 and (not pair.continuous or jump in SPARED):
             expected = ORDER.get(pair.name, 3)
         elif pair is not None and (smooth or not pair.continuous):
             expected = 1.5 if pair.name == "MINI" else 2

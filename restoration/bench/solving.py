@@ -85,10 +85,10 @@ def _told(dim, n, contrast, solver, solved, before, what=""):
     problem = solved.problem
     clock = Clock()  # once more with the structure known, as a run does it
     problem.assemble()
-    assembled = clock.seconds
     its, cycles = problem.counts.krylov_iterations, problem.solver.vcycles
     problem.solve()
-    again = round(clock.seconds - assembled, 3)
+    again = clock.seconds
+    problem.release()
     parameters = {"dim": dim, "squares": n, "contrast": contrast, "solver": solver, "what": what}
     more = {"parameters": parameters, **solved.size}
     case = f"{what}{dim}-D, contrast {contrast:g}, {solved.spaces.unknowns} unknowns, {solver}"
@@ -164,6 +164,7 @@ def run_adaption(quick):
         problem.assemble()
         problem.solve()
         ratios.append((meshed, ready, first, clock.seconds - begin))
+        problem.release()
         unknowns = spaces.unknowns
     meshed, ready, first, again = np.median(ratios, axis=0)
     more = {

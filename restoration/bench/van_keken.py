@@ -55,6 +55,7 @@ def run_van_keken(quick):
         engine = StokesEngine(scene(ratio, amplitude, 20, mesh=mesh))
         state = engine.with_flow(engine.start())
         rate = velocity_at(state, np.array([[0.0, DEPTH + amplitude]]))[0, 1] / amplitude
+        engine.grid.stokes.release()
         yield compared(
             NAME,
             f"ratio {ratio}, small amplitude, fitted",
@@ -111,6 +112,7 @@ def _march(ratio, interfaces, cells, quick):
     start = engine.with_flow(engine.start())
     note(None, start)
     march(start, engine, engine.scene.time, every_step=(note,))
+    engine.grid.stokes.release()
     times, speeds = np.array(times), np.array(speeds)
     case = f"ratio {ratio}, {interfaces}, {cells} squares across"
     more = {

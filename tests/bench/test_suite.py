@@ -55,6 +55,4 @@ def test_a_missed_bound_is_told_and_ends_with_another_code(monkeypatch, capsys):
 
 def test_the_list_has_a_line_for_every_benchmark(capsys):
     assert main(["bench", "--list"]) == 0
-    assert [line.split()[0] for line in capsys.readouterr().out.splitlines()] == [
-        *suite.BENCHMARKS
-    ]
+    assert [line.split()[0] for line in capsys.readouterr().out.splitlines()] == [*suite.BENCHMARKS]

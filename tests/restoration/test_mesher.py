@@ -1,5 +1,7 @@
 """Meshes that follow the rock or are adapted, and runs on them."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -106,6 +108,19 @@ def test_adaption_every_few_steps_keeps_the_mesh_between():
     steps = engine._steps
     assert steps >= 5
     assert engine.meshes == 1 + len(range(0, steps + 1, 3))  # the first, then every third step
+
+
+def test_meshes_of_the_past_leave_the_memory():
+    def resident():
+        return int(Path("/proc/self/statm").read_text().split()[1]) * 4096 / 1e6
+
+    engine = StokesEngine(diapir_scene(mesh=REFINED, cells=(24, 26)))
+    state = engine.with_flow(engine.start())
+    used = []
+    for _ in range(12):
+        engine._solve(engine._adapt(state.particles, state.lines))
+        used.append(resident())
+    assert used[-1] - used[3] < 40  # MB; each of the eight took 30
 
 
 def test_rock_that_flows_in_is_filled_on_an_adapted_mesh():
