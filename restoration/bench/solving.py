@@ -58,7 +58,7 @@ def sinking_block(dim, n, contrast, solver, element="P2-P1", rough=False):
 def run_solvers(quick):
     """Direct and iterative solvers on the sinking block, in two and three dimensions."""
     sizes = QUICK if quick else SIZES
-    contrasts = (1e6,) if quick else (1.0, 1e-6, 1e4, 1e6, 1e8)
+    contrasts = (1e6,) if quick else (1.0, 1e-6, 1e6)
     for dim in (2, 3):
         for contrast in contrasts:
             before = None

@@ -10,6 +10,7 @@ from ruamel.yaml import YAML
 
 from restoration.errors import CaseError
 from restoration.resolve import load
+from restoration.scene import RefinePlan, SolverPlan
 from restoration.units import YEAR
 
 ROOT = Path(__file__).parents[2]
@@ -43,7 +44,18 @@ def case(tmp_path):
 def same(one, other):
     """Assert that two scenes are the same."""
     assert one.title == other.title
-    for name in ("rocks", "units", "walls", "gravity", "cells", "particles", "transfer", "time"):
+    for name in (
+        "rocks",
+        "units",
+        "walls",
+        "gravity",
+        "cells",
+        "particles",
+        "transfer",
+        "time",
+        "mesh",
+        "solver",
+    ):
         assert getattr(one, name) == getattr(other, name)
     assert one.output == other.output
     assert [(line.name, line.kind) for line in one.lines] == [
@@ -125,11 +137,32 @@ def test_resolved_names_every_default(case):
     entries = YAML(typ="safe", pure=True).load(case().resolved)
     assert list(entries) == [
         "title", "section", "rocks", "boundary", "gravity", "mesh", "particles", "transfer",
-        "time", "accuracy", "output",
+        "solver", "time", "accuracy", "output",
     ]  # fmt: skip
-    assert entries["mesh"]["cells"] == [90, 45]
+    assert entries["mesh"] == {
+        "cells": [90, 45],
+        "element": "P2-P1",
+        "interfaces": "particles",
+    }
+    assert entries["solver"] == {"name": "auto", "options": {}}
     assert entries["rocks"]["salt"]["color"].startswith("#")
     assert entries["section"]["layers"][2]["name"] == "roof"
+
+
+def test_plans_of_mesh_and_solver(case):
+    refine = "mesh.refine={levels: 3, where: [faults, velocity-gradient], every: 4}"
+    scene = case(CASE, refine, "solver={name: fieldsplit, options: {ksp_rtol: 1e-10}}").scene
+    assert scene.mesh.refine == RefinePlan(3, ("faults", "velocity-gradient"), 4)
+    assert scene.solver == SolverPlan("fieldsplit", (("ksp_rtol", "1e-10"),))
+    assert case(CASE, "mesh.refine={where: interfaces}").scene.mesh.refine.where == ("interfaces",)
+
+
+def test_a_fitted_case_resolves_without_averages_to_a_case_again(case, tmp_path):
+    loaded = case(CASE, "mesh.interfaces=fitted", "mesh.refine={levels: 1}")
+    assert loaded.scene.mesh.interfaces == "fitted"
+    again = tmp_path / "again.yaml"
+    again.write_text(loaded.resolved, encoding="utf-8")
+    assert load(again).resolved == loaded.resolved
 
 
 @pytest.mark.parametrize(
