@@ -7,7 +7,8 @@ eqs. 1 to 6). The forms take the viscosity divided by a reference ``eta0`` and t
 of ``eta0 / length``, so that both blocks of the matrix are of order one where eta is eta0.
 """
 
-from ufl import CellVolume, FacetArea, FacetNormal, div, dot, grad, inner, sym
+from ufl import FacetNormal, div, dot, grad, inner, sym
+from ufl.geometry import FacetJacobianDeterminant, JacobianDeterminant
 
 
 def strain_rate(u):
@@ -44,7 +45,9 @@ def slip_form(u, p, v, q, eta, length, ds, penalty=20.0):
     """
     n = FacetNormal(u.ufl_domain())
     # With this h the trace inequality bounds the penalty of P2 from below by 6, for any shape.
-    h = CellVolume(u.ufl_domain()) / FacetArea(u.ufl_domain())
+    # Half the height of the cell over the facet, at the point.
+    domain = u.ufl_domain()
+    h = abs(JacobianDeterminant(domain)) / abs(FacetJacobianDeterminant(domain)) / 2
 
     def normal_stress(w, r):
         return 2 * eta * dot(n, dot(strain_rate(w), n)) - r / length

@@ -93,6 +93,8 @@ def _triangulated(nodes, edges, tags, sizes):
     handler = signal.getsignal(signal.SIGINT)
     try:
         gmsh.initialize([], False)
+        if main:
+            signal.signal(signal.SIGINT, handler)  # gmsh would let Ctrl-C end the process
         return _meshed(gmsh, nodes, edges, tags, sizes)
     except MeshingError:
         raise

@@ -4,7 +4,7 @@ from pathlib import Path
 
 from pydantic import BaseModel, ValidationError
 
-from restoration.entries import Boundary, Case, RockEntry
+from restoration.entries import OPTIONS, Boundary, Case, RockEntry
 from restoration.errors import CaseError
 from restoration.files import read_text
 from restoration.tree import override, read_tree, shortened
@@ -212,10 +212,31 @@ def _mesh_faults(tree):
         message = "a cloud of particles brings no horizons that mesh lines could follow"
         faults.append(tree.fault((*at, "interfaces"), message))
     where = refine.get("where") if isinstance(refine, dict) else None
-    if fitted and where is not None and "velocity-gradient" in where:
+    if fitted and "velocity-gradient" in (where if isinstance(where, list) else [where]):
         message = "a fitted mesh is refined at interfaces and faults only"
         faults.append(tree.fault((*at, "refine", "where"), message))
-    return faults
+    if fitted and isinstance(refine, dict) and "every" in refine:
+        message = "a fitted mesh is made anew for every flow; remove it"
+        faults.append(tree.fault((*at, "refine", "every"), message, at="key"))
+    return faults + _solver_faults(tree)
+
+
+def _solver_faults(tree):
+    """Return the faults of options that the solver asked for would not heed."""
+    options = tree.raw(("solver", "options"))
+    if tree.raw(("solver", "name")) != "direct" or not isinstance(options, dict):
+        return []
+    other = [
+        name
+        for name in options
+        if str(name).startswith(("velocity_", "pressure_", "ksp_rtol", "ksp_max_it", "ksp_gmres"))
+    ]
+    message = "is an option of the field split; a direct solver has no use for it"
+    return [
+        tree.fault(("solver", "options"), f"'{name}' {message}")
+        for name in other
+        if name in OPTIONS
+    ]
 
 
 def _section_faults(tree, section):

@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from restoration.advection import FROZEN, STEPPERS
-from restoration.errors import SolveError
+from restoration.errors import MeshError, SolveError
 from restoration.grid import Grid
 from restoration.lines import begin, points_of, refined, with_points
 from restoration.mesher import Mesher
@@ -25,6 +25,7 @@ from restoration.stokes import Counts
 # A horizon is kept this many times finer than the mesh, see `lines.refined`.
 LINE_POINTS_PER_CELL = 4
 LINE_POINTS_PER_CELL_AT_TURNS = 32
+ROCK_JUMP = 0.02  # of the section, that no rock wins or loses from one fitted mesh to the next
 PARTS = ("setup", "mesh", "fields", "assemble", "solve", "advect")
 
 
@@ -57,7 +58,7 @@ class StokesEngine:
         self.start_area = self.grid.section.area
         self.fitted = scene.mesh.interfaces == "fitted"
         self.meshes = 1
-        self._steps, self._last_flow = 0, None
+        self._steps, self._last_flow, self._rock_areas = 0, None, None
         self.born = 0
         self.empty_cells = 0
         self.held_on_wall = 0
@@ -137,7 +138,21 @@ class StokesEngine:
             self.grid.stokes.release()
             self.grid = Grid(self.scene, section, self.counts, (particles, points))
             self.meshes += 1
+            self._guard_rocks()
             return relocate(particles, self.grid.index)
+
+    def _guard_rocks(self):
+        """Raise where a rock of a fitted mesh has lost or won a part of the section at once."""
+        rock = np.array([unit.rock for unit in self.scene.units])[self.grid.fields.unit]
+        areas = np.bincount(rock, self.grid.index.area, len(self.scene.rocks))
+        jump = np.abs(areas - (areas if self._rock_areas is None else self._rock_areas))
+        if jump.max() > ROCK_JUMP * areas.sum():
+            name = self.scene.rocks[jump.argmax()].name
+            raise MeshError(
+                f"{name} changed its area by {jump.max() / 1e6:.3g} km^2 at once: a horizon no "
+                "longer parts the rocks; let particles carry them (mesh.interfaces: particles)"
+            )
+        self._rock_areas = areas
 
     def _adapt(self, particles, lines):
         """Adapt the mesh; return the particles located in it."""

@@ -56,7 +56,7 @@ OPTIONS = (
     "mat_mumps_icntl_24",
     "mat_mumps_cntl_1",
 )
-OPTION_VALUE = re.compile(r"[A-Za-z0-9_.,+-]{1,40}")
+OPTION_VALUE = re.compile(r"(?!(?i:[+-]?[.]?(nan|inf)))[A-Za-z0-9_.,+-]{1,40}")
 
 
 class Entry(BaseModel):

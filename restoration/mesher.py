@@ -109,11 +109,12 @@ class Mesher:
 
 def _between_rocks(scene, line):
     """Return whether a line anywhere parts two rocks."""
-    step = np.diff(line.points, axis=0)
+    points = spaced(line.points, scene.outline.height / 100)
+    step = np.diff(points, axis=0)
     length = np.linalg.norm(step, axis=1)
     keep = length > 0
     normal = np.column_stack([-step[:, 1], step[:, 0]])[keep] / length[keep, None]
-    middle = (line.points[1:] + line.points[:-1])[keep] / 2
+    middle = (points[1:] + points[:-1])[keep] / 2
     rock = np.array([unit.rock for unit in scene.units])
     one, two = (
         rock[scene.unit_at(middle + side * ASIDE * scene.outline.height * normal)]
@@ -142,6 +143,7 @@ def gradient_size(grid, flow, finest):
     form = fem.form(ufl.inner(jump, jump) * (test("+") + test("-")) * ufl.dS(domain=mesh))
     jumps = fem.petsc.assemble_vector(form)
     squared = jumps.array / np.sqrt(grid.index.area)  # per length of facets
+    jumps.destroy()
     strength = np.sqrt(np.maximum(squared, 0))
     bound = strength.mean() or 1.0
     wanted = grid.sizes * np.sqrt(bound / np.maximum(strength, 1e-6 * bound))

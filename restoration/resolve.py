@@ -29,6 +29,7 @@ from restoration.scene import (
     TimePlan,
     Transfer,
     Unit,
+    normal_velocity,
 )
 from restoration.shapes import find_source, from_file, from_layers, on_columns
 from restoration.units import Quantity
@@ -78,6 +79,11 @@ def load(path, overrides=(), allow_outside=False):
     faults = [
         tree.fault(("boundary",), text) for text in loose(walls) + unbalanced(walls, shape.outline)
     ]
+    crossed = [n for n, wall in walls.items() if normal_velocity(n, wall, shape.outline) != 0]
+    if case.mesh.interfaces == "fitted" and crossed:
+        message = f"rock may cross the {listed(crossed, last='and')}, and mesh lines that follow it"
+        message += " would lose their ends there; let particles carry it"
+        faults.append(tree.fault(("mesh", "interfaces"), message))
     cells = _cells(case, shape.outline)
     outline, cut = on_columns(shape.outline, cells[0])
     faults += _too_large(case, cells, tree)
@@ -167,6 +173,8 @@ def resolved_yaml(case, scene, digest=None):
     entries["mesh"] = _in_order(entries["mesh"] | {"cells": list(scene.cells)}, Mesh)
     if case.mesh.interfaces == "fitted":  # which averages nothing
         entries.pop("transfer")
+        if case.mesh.refine:  # for every flow
+            del entries["mesh"]["refine"]["every"]
     entries["solver"]["options"] = dict(case.solver.options)
     entries["particles"]["per_cell"] = scene.particles.per_cell
     entries["time"] |= {"courant": scene.time.courant, "min_steps": scene.time.min_steps}

@@ -184,6 +184,7 @@ class FieldsplitSolver:
         self.u_rows = blocks.velocity.getIndices() - first
         self.p_rows = blocks.pressure.getIndices() - first
         self.A_uu = self.A_up = self.coarse = None
+        self.ru = self.zu = self.rp = self.zp = None
 
     def update(self):
         """Set up anew: the values of the matrix and of the viscosity have changed."""
@@ -202,16 +203,19 @@ class FieldsplitSolver:
             ksp.setOperators(matrix)
             ksp.setUp()
         self.factorisations += 1
-        self.ru, self.zu = self.A_uu.createVecs()
-        self.rp, self.zp = self.blocks.schur.createVecs()
+        if self.ru is None:
+            self.ru, self.zu = self.A_uu.createVecs()
+            self.rp, self.zp = self.blocks.schur.createVecs()
 
     def release(self):
         """Give the memory of blocks and factors back."""
-        for held in (self.ksp, self.ksp_u, self.ksp_p, self.A_uu, self.A_up, self.coarse):
+        solvers = self.ksp, self.ksp_u, self.ksp_p
+        blocks = self.blocks
+        parts = blocks.schur, blocks.prolongation, blocks.velocity, blocks.pressure
+        work = self.ru, self.zu, self.rp, self.zp
+        for held in (*solvers, self.A_uu, self.A_up, self.coarse, *parts, *work):
             if held is not None:
                 held.destroy()
-        self.blocks.schur.destroy()
-        self.blocks.prolongation.destroy()
 
     def _update_levels(self, pc):
         new, P = self.coarse is None, self.blocks.prolongation

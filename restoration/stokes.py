@@ -64,7 +64,7 @@ class StokesProblem:
     """Stokes flow of one mesh, solved for one density and viscosity after another.
 
     The forms are divided by the smallest viscosity, which keeps the residual at rounding up to a
-    contrast of 1e12; divided by the largest, 1e9 would fail.
+    contrast of 1e12 where the stiff rock stands; divided by the largest, 1e9 would fail.
 
     Args:
         section: `meshes.data.SectionMesh`.
@@ -156,6 +156,7 @@ class StokesProblem:
             self.A.setNullSpace(PETSc.NullSpace())
             self._null_space = None
             self.bcs = [*self.bcs, pressure_pin(self.spaces)]
+        self.solver.release()
         self.solver, self._seen = self._make_solver("direct", None), (0, 0)
         self._assembled = False
         self.assemble()
@@ -235,7 +236,10 @@ class StokesProblem:
         self.A.zeroEntries()
         fem.petsc.assemble_matrix(self.A, self.a, self.bcs)
         self.A.assemble()
-        self.solver.update()
+        try:
+            self.solver.update()
+        except PETSc.Error as error:
+            raise SolveError(_refused(error)) from None
         self._assembled = True
 
     def _checked_solve(self):
@@ -274,6 +278,8 @@ class StokesProblem:
         before = self._seen
         try:
             self.solver.solve(b, x)
+        except PETSc.Error as error:
+            raise SolveError(_refused(error)) from None
         finally:
             self._seen = self.solver.factorisations, self.solver.iterations
             self.counts.factorisations += self._seen[0] - before[0]
@@ -298,3 +304,11 @@ class StokesProblem:
         self.x.axpy(1, correction)
         correction.destroy()
         self.counts.refinements += 1
+
+
+def _refused(error):
+    """Return what to say where PETSc gives up with an error of its own."""
+    return (
+        f"PETSc gave up with its error {error.ierr}; check solver.options, and the viscosities and "
+        "walls if there are none"
+    )

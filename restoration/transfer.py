@@ -123,7 +123,7 @@ class RockFields:
         corners = self.index.corners
         if self._around is None:
             self._around = _cells_around(self.spaces.h_nodes)
-        radius = np.sqrt(self.index.area.min())
+        radius = np.sqrt(self.index.area)
         inside = np.flatnonzero(cell != OUTSIDE)
         order = inside[np.argsort(cell[inside], kind="stable")]
         first = np.searchsorted(cell[order], np.arange(len(corners) + 1))
@@ -284,7 +284,7 @@ def _point_means(points, radius, x, values, area, first, offsets, around, fallba
                 for i in range(first[around[a]], first[around[a] + 1]):
                     dx = x[i, 0] - points[c, q, 0]
                     dz = x[i, 1] - points[c, q, 1]
-                    if dx * dx + dz * dz < radius * radius:
+                    if dx * dx + dz * dz < radius[c] * radius[c]:
                         total += area[i] * values[i]
                         weight += area[i]
             mean[c, q] = total / weight if weight > 0 else fallback[c]

@@ -53,6 +53,9 @@ def run_benchmarks(names, quick=False, folder=None, tell=None):
         tell: function of a text, called with a line for every row and at every beginning.
     """
     tell = tell or (lambda text: None)
+    if folder is not None:
+        with disk_faults(folder):
+            Path(folder).mkdir(parents=True, exist_ok=True)
     rows = []
     for name in names:
         run = BENCHMARKS[name]
@@ -73,8 +76,6 @@ def keep(rows, name, folder):
     Raises:
         OutputError: they cannot be written.
     """
-    with disk_faults(folder):
-        folder.mkdir(parents=True, exist_ok=True)
     plain = [row.plain() for row in rows]
     text = ",\n".join(json.dumps(row, allow_nan=False) for row in plain)
     write_text(folder / f"{name}.json", f"[\n{text}\n]\n")

@@ -77,10 +77,10 @@ def run_van_keken(quick):
             (1, "particles", 32),
             (1, "particles", 64),
             (1, "fitted", 40),
-            (10, "particles", 64),
-            (10, "fitted", 40),
-            (100, "particles", 64),
-            (100, "fitted", 40),
+            (10, "particles", 48),
+            (10, "fitted", 24),
+            (100, "particles", 48),
+            (100, "fitted", 24),
         ]
     )
     for ratio, interfaces, cells in runs:

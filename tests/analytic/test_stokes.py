@@ -342,6 +342,21 @@ def test_large_problems_in_three_dimensions_are_split():
     assert choose_solver(SolverPlan(), 3, 30_000) == "fieldsplit"
 
 
+@pytest.mark.parametrize(
+    ("name", "option", "value"),
+    [
+        ("fieldsplit", "velocity_mg_coarse_pc_type", "foo"),
+        ("direct", "pc_factor_mat_solver_type", "foo"),
+        ("fieldsplit", "velocity_pc_type", "nonsense"),
+    ],
+)
+def test_options_that_petsc_refuses_later_are_told_too(name, option, value):
+    section = unit_square("P2-P1", 4)
+    one = cell_viscosity(lambda x: np.ones(len(x)))
+    with pytest.raises(SolveError):
+        Solved(section, "P2-P1", one, solcx_density, solver=SolverPlan(name, ((option, value),)))
+
+
 def test_options_that_petsc_cannot_read_are_told():
     section = unit_square("P2-P1", 4)
     plan = SolverPlan("direct", (("ksp_type", "mumps"),))

@@ -1,15 +1,18 @@
 """Meshes that follow the rock or are adapted, and runs on them."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from restoration.bench.scenes import velocity_at
 from restoration.diagnostics import line_distances
 from restoration.engine import StokesEngine
+from restoration.errors import MeshError
 from restoration.mesher import Mesher
 from restoration.run import march
-from restoration.scene import Line, MeshPlan, RefinePlan, Wall
+from restoration.scene import Line, MeshPlan, Outline, RefinePlan, Wall
 from tests.restoration.conftest import HEIGHT, WIDTH, diapir_scene, diapir_top
 
 ELEMENTS = ["P2-P1", "P2b-P1dg", "P2-P1dg", "MINI", "Q2-Q1", "Q2-P1dg"]
@@ -108,6 +111,32 @@ def test_adaption_every_few_steps_keeps_the_mesh_between():
     steps = engine._steps
     assert steps >= 5
     assert engine.meshes == 1 + len(range(0, steps + 1, 3))  # the first, then every third step
+
+
+@pytest.mark.parametrize("element", ["Q2-Q1", "Q2-P1dg", "P2b-P1dg"])
+def test_elements_hold_an_inclined_wall(element):
+    relief = np.array([[0, 0], [WIDTH, 800.0]])
+    base = np.array([[0, -HEIGHT], [WIDTH, -HEIGHT]])
+    slip = Wall("free-slip", (None, 0.0), (0.0, 0.0))
+    walls = diapir_scene().walls | {"surface": slip}
+    scene = diapir_scene(mesh=MeshPlan(element), outline=Outline(relief, base), walls=walls)
+    engine = StokesEngine(scene)
+    state = engine.with_flow(engine.start())
+    at = np.column_stack([np.linspace(100, WIDTH - 100, 50)] * 2)
+    at[:, 1] = np.interp(at[:, 0], *relief.T) - 1
+    u = velocity_at(state, at)
+    through = np.abs(u @ (np.array([-800, WIDTH]) / np.hypot(800, WIDTH)))
+    assert through.max() < 0.02 * state.grid.speeds(state.flow)[1]
+
+
+def test_a_rock_that_vanishes_from_a_fitted_mesh_stops_the_run():
+    engine = StokesEngine(diapir_scene(mesh=FITTED))
+    state = engine.with_flow(engine.start())
+    lost = replace(
+        state, flow=None, particles=replace(state.particles, unit=0 * state.particles.unit)
+    )
+    with pytest.raises(MeshError, match="changed its area"):
+        engine.with_flow(lost)
 
 
 def test_meshes_of_the_past_leave_the_memory():
