@@ -76,7 +76,8 @@ def _on_mesh(element, velocity):
     section = section_mesh(*flat, (16, 16), cell)
     spaces, index = Spaces(section, element), CellIndex(section)
     sampler = VelocitySampler(spaces)
-    nodal = velocity(spaces.V.tabulate_dof_coordinates()[:, :2])
+    with np.errstate(invalid="ignore"):
+        nodal = velocity(spaces.V.tabulate_dof_coordinates()[:, :2])
     nodal = np.where(np.isfinite(nodal), nodal, 0.0)  # the centre has no direction
     coefficients = sampler.coefficients(nodal)
 

@@ -171,26 +171,27 @@ def _vortex(rows):
 
 
 def _errors(rows):
+    """Errors of all elements, and of the transfers of the usual ones by the harmonic mean."""
     panels = []
+    shown = [
+        row
+        for row in rows
+        if "transfer" not in row.parameters
+        or row.parameters["mean"] == "harmonic"
+        and row.parameters["element"] in ("P2-P1", "Q2-Q1", "Q2-P1dg")
+    ]
+    worst = max(row.parameters["contrast"] for row in shown)
+
+    def key(row):
+        p = row.parameters
+        told = f", {p['transfer']} {p['mean']}" if "transfer" in p else ""
+        return f"{p['element']}{told}, {p['place']}"
+
     for what in ("velocity", "pressure"):
-        some = [row for row in rows if row.metric.startswith(f"{what} error")]
-        worst = max((row.parameters["contrast"] for row in some), default=1)
-        some = [row for row in some if row.parameters["contrast"] == worst]
-
-        def key(row):
-            p = row.parameters
-            told = f", {p['transfer']} {p['mean']}" if "transfer" in p else ""
-            return f"{p['element']}{told}, {p['place']}"
-
-        some = [row for row in some if row.parameters.get("mean", "harmonic") != "geometric"]
         some = [
             row
-            for row in some
-            if "transfer" not in row.parameters
-            or (
-                (row.parameters["element"] in ("P2-P1", "Q2-Q1", "Q2-P1dg"))
-                and row.parameters["mean"] == "harmonic"
-            )
+            for row in shown
+            if row.metric.startswith(f"{what} error") and row.parameters["contrast"] == worst
         ]
         series = _grouped(some, key, lambda r: r.parameters["squares"], lambda r: r.value)
         title = f"{what}, contrast {worst:g}"
