@@ -177,8 +177,10 @@ def _errors(rows):
         row
         for row in rows
         if "transfer" not in row.parameters
-        or row.parameters["mean"] == "harmonic"
-        and row.parameters["element"] in ("P2-P1", "Q2-Q1", "Q2-P1dg")
+        or (
+            row.parameters["mean"] == "harmonic"
+            and row.parameters["element"] in ("P2-P1", "Q2-Q1", "Q2-P1dg")
+        )
     ]
     worst = max(row.parameters["contrast"] for row in shown)
 
