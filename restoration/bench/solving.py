@@ -11,8 +11,8 @@ from restoration.spaces import Spaces
 from restoration.stokes import StokesProblem
 
 MOST_ITERATIONS, MOST_CYCLES, GROWTH = 60, 300, 1.3
-SIZES = {2: (70, 140, 210), 3: (6, 10, 13, 20)}
-QUICK = {2: (40, 70), 3: (5, 8)}
+SIZES = {2: (70, 140, 210), 3: (10, 20)}
+QUICK = {2: (40, 70), 3: (10,)}
 LARGE = {2: 330, 3: 20}  # squares of a million unknowns, cubes of 200 thousand
 ROUGH = 20  # discs of the section with many inclusions
 
