@@ -6,6 +6,7 @@ from pydantic import BaseModel, ValidationError
 
 from restoration.entries import OPTIONS, Boundary, Case, RockEntry
 from restoration.errors import CaseError
+from restoration.fault_entries import wrong_faults
 from restoration.files import read_text
 from restoration.tree import override, read_tree, shortened
 from restoration.units import advice
@@ -13,16 +14,10 @@ from restoration.words import hint, listed, nearest, quoted
 
 # Entries of docs/design.md that are promised and not built: refused by name.
 LATER = {
-    ("faults",): "faults with a strength of their own are not built yet; lines of a section file "
-    "are followed and drawn",
     ("boundary", "front"): "sections are two-dimensional so far; remove this wall",
     ("boundary", "back"): "sections are two-dimensional so far; remove this wall",
 }
 SYNONYMS = {"top": "surface", "bottom": "base", "walls": "boundary", "colour": "color"}
-FREE_SURFACE = (
-    "a free surface is not built yet; use free-slip for a surface that stays flat, or "
-    "{traction: [0 MPa, 0 MPa]} for one that rock may cross"
-)
 # Entries of a section that only a file has a use for.
 FILE_ENTRIES = ("property", "rock_property", "coordinates", "vertical", "tolerance")
 
@@ -187,10 +182,30 @@ def _cross_faults(tree):
                 path = ("section", "layers", i, "rock")
                 faults.append(tree.fault(path, f"there is no rock '{rock}'{hint(rock, rocks)}"))
     for name in Boundary.model_fields:
-        if tree.raw(("boundary", name)) == "free":
-            message = FREE_SURFACE if name == "surface" else "only the surface can be free"
+        if tree.raw(("boundary", name)) == "free" and name != "surface":
+            message = "only the surface can be free; {traction: [0 MPa, 0 MPa]} leaves a wall alone"
             faults.append(tree.fault(("boundary", name), message))
-    return faults + _mesh_faults(tree)
+    return faults + wrong_faults(tree) + _surface_faults(tree) + _mesh_faults(tree)
+
+
+def _surface_faults(tree):
+    """Return the faults of what is said about a free surface."""
+    at, free = ("surface",), tree.raw(("boundary", "surface")) == "free"
+    given, faults = tree.raw(at), []
+    if given is not None and not free:
+        message = "says how a free surface moves; write boundary: {surface: free}, or remove it"
+        faults.append(tree.fault(at, message, at="key"))
+    if free and tree.raw(("section", "particles")) is not None:
+        message = "a cloud of particles has no surface line that could move; give layers or a file"
+        faults.append(tree.fault(("boundary", "surface"), message))
+    if isinstance(given, dict) and given.get("air") is not None:
+        if tree.raw(("mesh", "interfaces")) == "fitted":
+            message = "air is solved for on column meshes only; remove it, or the fitted mesh"
+            faults.append(tree.fault((*at, "air"), message, at="key"))
+        if given.get("motion") == "normal":
+            message = "below air the surface nodes move vertically only"
+            faults.append(tree.fault((*at, "motion"), message))
+    return faults
 
 
 def _mesh_faults(tree):

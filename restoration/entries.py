@@ -7,8 +7,10 @@ import re
 from itertools import pairwise
 from typing import Annotated
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, PlainValidator
+from pydantic import AfterValidator, Field, PlainValidator
 
+from restoration.fault_entries import FaultEntry
+from restoration.kinds import Entry, Length, Name, Size, quantity, read_names, words
 from restoration.units import UNITS, Quantity, parse, show
 from restoration.words import hint, listed, quoted
 
@@ -19,7 +21,7 @@ PRESETS = {
     "fine": {"cells": 90, "per_cell": 4, "courant": 0.5, "min_steps": 40},
 }
 LONGEST = 1e4 * UNITS["time"]["Myr"]  # s, of a march
-HIGHEST = {"velocity": 1.0, "pressure": 1e12}  # of walls, SI
+HIGHEST = {"velocity": 1.0, "pressure": 1e12, "length": 1e8}  # of walls, SI
 COLOR = re.compile(r"#[0-9a-fA-F]{6}")
 ELEMENTS = ("P2-P1", "P2b-P1dg", "P2-P1dg", "MINI", "Q2-Q1", "Q2-P1dg")
 REFINED_AT = ("interfaces", "faults", "velocity-gradient")
@@ -57,52 +59,6 @@ OPTIONS = (
     "mat_mumps_cntl_1",
 )
 OPTION_VALUE = re.compile(r"(?!(?i:[+-]?[.]?(nan|inf)))[A-Za-z0-9_.,+-]{1,40}")
-
-
-class Entry(BaseModel):
-    """A group of entries: no others, no conversions, no infinities, no changes."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
-
-
-def quantity(kind, low=None, high=None, above=None):
-    """Return the type of a quantity within bounds, SI."""
-
-    def read(value):
-        found = value if isinstance(value, Quantity) else parse(value, kind)
-        if above is not None and not found.si > above:
-            raise ValueError(f"{quoted(found.text)} must be above {show(above, kind)}")
-        if low is not None and found.si < low:
-            raise ValueError(f"{quoted(found.text)} must not be below {show(low, kind)}")
-        if high is not None and found.si > high:
-            raise ValueError(f"{quoted(found.text)} is above {show(high, kind)}, the most possible")
-        return found
-
-    return Annotated[Quantity, PlainValidator(read)]
-
-
-def words(*known):
-    """Return the type of a word out of a few."""
-
-    def read(value):
-        if not isinstance(value, str) or value not in known:
-            near = hint(value, known) if isinstance(value, str) else f"; possible: {listed(known)}"
-            raise ValueError(f"{quoted(value)} is not possible{near}")
-        return value
-
-    return Annotated[str, PlainValidator(read)]
-
-
-def read_name(value):
-    """Return a name; numbers become text."""
-    if isinstance(value, bool) or not isinstance(value, (str, int)) or not str(value).strip():
-        raise ValueError(f"{quoted(value)} is not a name")
-    return str(value).strip()
-
-
-def read_names(value):
-    """Return a tuple of names from one or a list."""
-    return tuple(read_name(entry) for entry in (value if isinstance(value, list) else [value]))
 
 
 def read_cells(value):
@@ -149,11 +105,82 @@ def read_marks(value):
     return marks
 
 
+class TableEntry(Entry):
+    """Values along a wall, in model time, or both: then a row of values for each time."""
+
+    at: tuple[Quantity, ...] | None = None
+    time: tuple[Quantity, ...] | None = None
+    value: tuple[Quantity | tuple[Quantity, ...], ...]
+
+
+TABLE_EXAMPLES = {
+    "velocity": "{at: [-2 km, 0 km], value: [0 mm/yr, 10 mm/yr]}",
+    "pressure": "{time: [0 kyr, 20 kyr], value: [0 MPa, -5 MPa]}",
+}
+
+
+def read_table(value, unit):
+    """Return a table of values of a wall."""
+    such = f"a table is such as {TABLE_EXAMPLES[unit]}"
+    known = tuple(TableEntry.model_fields)
+    for name in value:
+        if name not in known:
+            raise ValueError(f"{quoted(name)} is no entry of a table{hint(name, known)}")
+    if "value" not in value or len(value) < 2:
+        missing = "value" if "value" not in value else "'at' (along the wall) or 'time'"
+        raise ValueError(f"{missing} is missing; {such}")
+    axes = {"at": lambda entry: _bounded(parse(entry, "length"), "length"), "time": read_mark}
+    found = {name: read_axis(name, value[name], axes[name]) for name in axes if name in value}
+    *outer, inner = reversed([*found])  # a row for each time, in it a value for each place
+    rows = value["value"]
+    if outer:
+        _counted(rows, "time", found)
+        rows = [read_row(row, inner, found, unit) for row in rows]
+        return TableEntry(**found, value=tuple(rows))
+    return TableEntry(**found, value=read_row(rows, inner, found, unit))
+
+
+def read_axis(name, entries, read):
+    """Return the places or the times of a table: two at least, all rising or all falling."""
+    if not isinstance(entries, list) or len(entries) < 2:
+        raise ValueError(f"{name}: {quoted(entries)} is no list of two or more")
+    found = tuple(read(entry) for entry in entries)
+    if len({is_age(entry) for entry in found}) == 2:
+        raise ValueError(f"{name}: ages (Ma) and times (Myr) do not mix; write all in one")
+    way = found[1].si - found[0].si
+    for before, after in pairwise(found):
+        if (after.si - before.si) * way <= 0:
+            raise ValueError(f"{name}: {after.text} after {before.text}: let all rise, or all fall")
+    return found
+
+
+def read_row(row, name, found, unit):
+    """Return a value for each place or time of a table."""
+    _counted(row, name, found)
+    return tuple(_bounded(parse(entry, unit), unit) for entry in row)
+
+
+def _counted(row, name, found):
+    """Refuse anything but a list as long as the places or times are."""
+    number = len(found[name])
+    if not isinstance(row, list) or len(row) != number:
+        each = "a row" if name == "time" and "at" in found else "a value"
+        ask = f"{each} for each of the {number} of '{name}'"
+        raise ValueError(f"value: {quoted(row)} where {ask} is needed")
+
+
+def _bounded(found, unit):
+    """Return a quantity of a wall, or refuse it beyond what is possible."""
+    if abs(found.si) > HIGHEST[unit]:
+        raise ValueError(f"{quoted(found.text)} is beyond {show(HIGHEST[unit], unit)}")
+    return found
+
+
 class WallEntry(Entry):
     """One wall: its kind and, for velocity and traction, a value along x and z."""
 
     kind: str
-    values: tuple[Quantity | None, Quantity | None] | None = None
+    values: tuple[Quantity | TableEntry | None, Quantity | TableEntry | None] | None = None
 
 
 WALL_EXAMPLES = {
@@ -162,12 +189,19 @@ WALL_EXAMPLES = {
 }
 
 
+def read_wall_value(value, unit):
+    """Return one value of a wall: a quantity, a table, or None where the component is free."""
+    if isinstance(value, dict):
+        return read_table(value, unit)
+    return None if value == "free" else _bounded(parse(value, unit), unit)
+
+
 def read_wall(value):
     """Return a wall from a word, or from {velocity: [..]} or {traction: [..]}."""
-    kinds = ("no-slip", "free-slip")
+    kinds = ("no-slip", "free-slip", "free")
     groups = listed(WALL_EXAMPLES.values(), last="and")
     if isinstance(value, str):
-        if value not in (*kinds, "free"):  # which _cross_faults refuses with more to say
+        if value not in kinds:
             near = hint(value, kinds)
             raise ValueError(f"{quoted(value)} is no kind of wall{near}, and {groups}")
         return WallEntry(kind=value)
@@ -180,10 +214,7 @@ def read_wall(value):
         such = WALL_EXAMPLES[kind]
         raise ValueError(f"{kind} takes a value along x and one along z, such as {such}")
     unit = "velocity" if kind == "velocity" else "pressure"
-    values = tuple(None if entry == "free" else parse(entry, unit) for entry in pair)
-    for found in values:
-        if found and abs(found.si) > HIGHEST[unit]:
-            raise ValueError(f"{quoted(found.text)} is beyond {show(HIGHEST[unit], unit)}")
+    values = tuple(read_wall_value(entry, unit) for entry in pair)
     if kind == "traction" and None in values:
         raise ValueError("a traction has a value along x and along z; 0 MPa is none")
     if kind == "velocity" and values == (None, None):
@@ -191,11 +222,6 @@ def read_wall(value):
             "holds nothing; write {traction: [0 MPa, 0 MPa]} for a wall left to itself"
         )
     return WallEntry(kind=kind, values=values)
-
-
-Name = Annotated[str, PlainValidator(read_name)]
-Length = quantity("length")
-Size = quantity("length", above=0.0, low=1e-3, high=1e8)
 
 
 class Cosine(Entry):
@@ -268,6 +294,26 @@ class Boundary(Entry):
     right: Wall = WallEntry(kind="free-slip")
     base: Wall = WallEntry(kind="no-slip")
     surface: Wall = WallEntry(kind="free-slip")
+
+
+class AirEntry(Entry):
+    """Air that is solved for above a free surface."""
+
+    thickness: Size
+    viscosity: quantity("viscosity", low=1.0, high=1e30)
+    density: quantity("density", low=0.0, high=3e4) = Quantity("1 kg/m^3", 1.0)
+
+
+class Surface(Entry):
+    """How a free surface moves."""
+
+    theta: Annotated[float, Field(ge=0, le=1)] = 0.0
+    reverse: words("auto", "integrate", "slave", "stabilise") = "auto"
+    motion: words("vertical", "normal") = "vertical"
+    limit: Annotated[float, Field(gt=0, le=1e6)] = 0.5
+    air: AirEntry | None = None
+    noise: quantity("length", above=0.0) = Quantity("1 m", 1.0)
+    tolerance: quantity("length", above=0.0) = Quantity("100 m", 100.0)
 
 
 def read_where(value):
@@ -367,7 +413,7 @@ class Output(Entry):
     """What is written, and when."""
 
     at: Annotated[str | int, PlainValidator(read_at)] = "marks"
-    fields: list[words(*FIELDS)] = list(FIELDS)
+    fields: list[words(*FIELDS)] = Field(default_factory=lambda: [*FIELDS])
     particles: bool = True
     arrows: bool = False
     exaggeration: Annotated[float, Field(gt=0, le=100)] = 1.0
@@ -386,7 +432,9 @@ class Case(Entry):
     title: Name | None = None
     section: Section
     rocks: Annotated[dict[str, RockEntry], AfterValidator(not_empty)]
+    faults: list[FaultEntry] | None = None
     boundary: Boundary = Boundary()
+    surface: Surface | None = None
     gravity: quantity("acceleration", low=0.0, high=1e3) = Quantity("9.81 m/s^2", 9.81)
     mesh: Mesh = Mesh()
     particles: Particles = Particles()

@@ -1,7 +1,7 @@
 """From a case to a scene: names become rows, quantities become SI, a section becomes shapes."""
 
 import io
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from restoration.case import FILE_ENTRIES, read_case
@@ -16,9 +16,12 @@ from restoration.entries import (
     is_age,
 )
 from restoration.errors import CaseError
+from restoration.fault_entries import FaultEntry
+from restoration.faults import thin, with_faults
 from restoration.palette import unit_colors
 from restoration.scene import (
     WALLS,
+    Air,
     MeshPlan,
     OutputPlan,
     ParticlePlan,
@@ -26,6 +29,7 @@ from restoration.scene import (
     Rock,
     Scene,
     SolverPlan,
+    SurfacePlan,
     TimePlan,
     Transfer,
     Unit,
@@ -33,7 +37,7 @@ from restoration.scene import (
 )
 from restoration.shapes import find_source, from_file, from_layers, on_columns
 from restoration.units import Quantity
-from restoration.walls import loose, unbalanced, wall_of
+from restoration.walls import loose, misplaced, unbalanced, wall_of
 from restoration.words import listed
 
 MOST_CELLS = 1_000_000  # triangles, of about 4.5 unknowns each
@@ -79,18 +83,29 @@ def load(path, overrides=(), allow_outside=False):
     faults = [
         tree.fault(("boundary",), text) for text in loose(walls) + unbalanced(walls, shape.outline)
     ]
-    crossed = [n for n, wall in walls.items() if normal_velocity(n, wall, shape.outline) != 0]
+    faults += [
+        tree.fault(("boundary", name), text)
+        for name, text in misplaced(case.boundary, walls, shape.outline, case.time.marks)
+    ]
+    crossed = [
+        name
+        for name, wall in walls.items()
+        if wall.kind != "free" and normal_velocity(name, wall, shape.outline) != 0
+    ]
     if case.mesh.interfaces == "fitted" and crossed:
         message = f"rock may cross the {listed(crossed, last='and')}, and mesh lines that follow it"
         message += " would lose their ends there; let particles carry it"
         faults.append(tree.fault(("mesh", "interfaces"), message))
     cells = _cells(case, shape.outline)
-    outline, cut = on_columns(shape.outline, cells[0])
+    outline, cut = on_columns(shape.outline, cells[0], walls["surface"].kind == "free")
     faults += _too_large(case, cells, tree)
     if faults:
         raise CaseError(faults)
+    shape, bands = with_faults(case, shape, outline, tree)
     notes = (*shape.notes, *cut)
     scene = _scene(case, shape, outline, walls, cells, case.title or _title(path), notes)
+    notes = (*scene.notes, *thin(bands, cells, outline, scene.mesh))
+    scene = replace(scene, faults=bands, notes=notes)
     return Loaded(case, scene, text, resolved_yaml(case, scene, digest))
 
 
@@ -148,6 +163,23 @@ def _scene(case, shape, outline, walls, cells, title, notes):
             case.mesh.refine and RefinePlan(**dict(case.mesh.refine)),
         ),
         solver=SolverPlan(case.solver.name, case.solver.options),
+        surface=_surface(case.surface),
+    )
+
+
+def _surface(entry):
+    """Return the plan of a free surface."""
+    if entry is None:
+        return SurfacePlan()
+    air = entry.air and Air(entry.air.thickness.si, entry.air.density.si, entry.air.viscosity.si)
+    return SurfacePlan(
+        float(entry.theta),
+        entry.reverse,
+        entry.motion,
+        float(entry.limit),
+        air,
+        entry.noise.si,
+        entry.tolerance.si,
     )
 
 
@@ -183,6 +215,11 @@ def resolved_yaml(case, scene, digest=None):
     layers = entries["section"].get("layers", [])
     for i, unit in enumerate(scene.units[: len(layers)]):
         layers[i] = _in_order(layers[i] | {"name": unit.name}, Layer)
+    for entry, fault in zip(entries.get("faults", []), scene.faults, strict=True):
+        entry |= {"name": fault.name}
+    entries["faults"] = [_in_order(entry, FaultEntry) for entry in entries.get("faults", [])]
+    if not entries["faults"]:
+        del entries["faults"]
     for rock in scene.rocks:
         entries["rocks"][rock.name]["color"] = rock.color
     stream = io.StringIO()
@@ -206,7 +243,7 @@ def _plain(value):
     if isinstance(value, WallEntry):
         if value.values is None:
             return value.kind
-        return {value.kind: ["free" if v is None else v.text for v in value.values]}
+        return {value.kind: ["free" if v is None else _plain(v) for v in value.values]}
     if isinstance(value, Entry):
         given = {name: getattr(value, name) for name in type(value).model_fields}
         return {name: _plain(entry) for name, entry in given.items() if entry is not None}

@@ -54,7 +54,7 @@ class Line:
 
     Attributes:
         name: such as ``salt / sediment``; pieces of one horizon share their name.
-        kind: ``horizon`` or ``fault``.
+        kind: ``horizon``, ``fault``, ``surface`` or ``edge``, the closed outline of a `Fault`.
         points: vertices in order, shape (n, 2), m.
     """
 
@@ -64,20 +64,76 @@ class Line:
 
 
 @dataclass(frozen=True)
+class Fault:
+    """A fault with a width and a rock: a band along a line of the kind ``fault``.
+
+    Attributes:
+        name: also of its unit, of its lines and of the lines ``edge`` around it.
+        unit: row of `Scene.units`.
+        width: m.
+    """
+
+    name: str
+    unit: int
+    width: float
+
+
+@dataclass(frozen=True)
+class Table:
+    """A value that varies along a wall and in model time: linear between, constant beyond.
+
+    Attributes:
+        axis: coordinate along the wall: 0 for x, 1 for z.
+        positions: along it, ascending, m; one where nothing varies along the wall.
+        times: ascending, s; one where nothing varies in time.
+        values: a row for each time, a value for each position.
+    """
+
+    axis: int
+    positions: tuple[float, ...]
+    times: tuple[float, ...]
+    values: tuple[tuple[float, ...], ...]
+
+    def __call__(self, points, time=0.0):
+        """Return the values at points (n, 2), m, and a model time, s; shape (n,)."""
+        row = [np.interp(time, self.times, column) for column in zip(*self.values, strict=True)]
+        return np.interp(points[:, self.axis], self.positions, row)
+
+    @property
+    def span(self):
+        """Least and greatest value."""
+        return min(map(min, self.values)), max(map(max, self.values))
+
+
+def value_at(value, points, time):
+    """Return a value of a wall at points and a model time, shape (n,).
+
+    Args:
+        value: a number, a `Table` or a function of points, as in `Wall`.
+        points: shape (n, dim), m.
+        time: s.
+    """
+    if isinstance(value, Table):
+        return value(points, time)
+    return value(points) if callable(value) else np.full(len(points), float(value))
+
+
+@dataclass(frozen=True)
 class Wall:
     """What happens on one wall, component by component along (x, z).
 
     Attributes:
-        kind: ``no-slip``, ``free-slip``, ``velocity`` or ``traction``.
-        velocity: prescribed components, m/s: a number, a function of points (n, dim), m, that
-            gives (n,), or None where the component is not held.
-        traction: force per area on the components that are not held, Pa: a number or a function
-            as above; 0 is stress-free.
+        kind: ``no-slip``, ``free-slip``, ``velocity``, ``traction`` or, of the surface, ``free``:
+            without traction, and in motion.
+        velocity: prescribed components, m/s: a number, a `Table`, a function of points (n, dim),
+            m, that gives (n,), or None where the component is not held.
+        traction: force per area on the components that are not held, Pa: a number, a table or a
+            function as above; 0 is stress-free.
     """
 
     kind: str
-    velocity: tuple[float | None, float | None]
-    traction: tuple[float, float]
+    velocity: tuple[float | Table | None, float | Table | None]
+    traction: tuple[float | Table, float | Table]
 
 
 @dataclass(frozen=True, eq=False)
@@ -190,6 +246,45 @@ class SolverPlan:
 
 
 @dataclass(frozen=True)
+class Air:
+    """Air that is solved for ("sticky air"): a light and weak layer above the surface.
+
+    Attributes:
+        thickness: above the highest point of the surface, m.
+        density: kg/m^3.
+        viscosity: Pa s; far below that of the rock, far above that of air.
+    """
+
+    thickness: float
+    density: float
+    viscosity: float
+
+
+@dataclass(frozen=True)
+class SurfacePlan:
+    """How a free surface moves.
+
+    Attributes:
+        theta: share of the step for which the weight of the moved surface counts in the flow
+            (free-surface stabilisation, Kaus et al. 2010); 0 is explicit, 1/2 of second order.
+        reverse: ``auto``, ``integrate``, ``slave`` or ``stabilise``, see `surface_modes`.
+        motion: of the top nodes of the mesh, ``vertical`` or ``normal``.
+        limit: part of the longest stable step of an explicit surface that a step may take.
+        air: `Air`, or None.
+        noise: how well the surface is known, m.
+        tolerance: error of the restored surface that can be borne, m.
+    """
+
+    theta: float = 0.0
+    reverse: str = "auto"
+    motion: str = "vertical"
+    limit: float = 0.5
+    air: Air | None = None
+    noise: float = 1.0
+    tolerance: float = 100.0
+
+
+@dataclass(frozen=True)
 class TimePlan:
     """When the run passes where.
 
@@ -248,14 +343,14 @@ class Scene:
         rocks: the rock table.
         units: the mapped units, each of one rock.
         unit_at: maps points (n, 2), m, to rows of `units`, shape (n,), int16.
-        lines: horizons and faults that move with the rock.
+        lines: horizons, faults and the edges of those with a width, which move with the rock.
         walls: wall by name, one for each of `WALLS`.
         gravity: acceleration downwards, m/s^2.
         cells: mesh columns and rows of squares; each becomes four triangles or a quadrilateral.
         particles, transfer, time, output: the plans.
         cloud: the particles where the case gives them, else None.
         notes: remarks on the input for the user, such as slivers that were closed.
-        mesh, solver: the plans of the mesh and of the linear solver.
+        mesh, solver, surface: the plans of the mesh, the linear solver and a free surface.
     """
 
     title: str
@@ -275,6 +370,18 @@ class Scene:
     notes: tuple[str, ...]
     mesh: MeshPlan = MeshPlan()
     solver: SolverPlan = SolverPlan()
+    faults: tuple[Fault, ...] = ()
+    surface: SurfacePlan = SurfacePlan()
+
+    @property
+    def free(self):
+        """Whether the surface is free, so that it moves."""
+        return self.walls["surface"].kind == "free"
+
+    @property
+    def air(self):
+        """The `Air` above a free surface, or None."""
+        return self.surface.air if self.free else None
 
     @property
     def unit_density(self):
@@ -289,7 +396,7 @@ class Scene:
     @property
     def one_viscosity(self):
         """Whether one viscosity fills the whole section, so that one factorisation serves."""
-        return len(set(self.unit_viscosity.tolist())) == 1
+        return self.air is None and len(set(self.unit_viscosity.tolist())) == 1
 
     def normal_velocity(self, name):
         """Return the velocity across a wall, m/s; see the function of this name."""
@@ -302,22 +409,29 @@ class Scene:
 
     @property
     def sealed(self):
-        """Whether no rock crosses any wall."""
-        return all(self.normal_velocity(name) == 0 for name in WALLS)
+        """Whether no rock crosses any wall; a free surface goes with it."""
+        return all(self.normal_velocity(n) == 0 for n in WALLS if n != "surface" or not self.free)
 
 
 def normal_velocity(name, wall, outline):
     """Return the velocity across a wall, m/s: 0, another number, or None where it is free.
 
     One component held on an inclined wall does not hold u.n; free-slip does, and both components.
+    Of a table it is the greatest one, by size: 0 only where no rock ever crosses.
 
     Args:
         name: of the wall.
         wall: `Wall`.
         outline: `Outline`.
     """
-    across = wall.velocity[normal_axis(name, 2)]
+    velocity = [_greatest(value) for value in wall.velocity]
+    across = velocity[normal_axis(name, 2)]
     line = {"surface": outline.surface, "base": outline.base}.get(name)
     if wall.kind == "free-slip" or line is None or np.ptp(line[:, 1]) == 0:
         return across
-    return None if None in wall.velocity else max(wall.velocity, key=abs)
+    return None if None in velocity else max(velocity, key=abs)
+
+
+def _greatest(value):
+    """Return the greatest value of a table, by size; anything else as it is."""
+    return max(value.span, key=abs) if isinstance(value, Table) else value

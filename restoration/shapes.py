@@ -56,15 +56,17 @@ def find_source(case, path, tree, allow_outside):
         raise CaseError([tree.fault(at, f"'{name}' cannot be read: {error.strerror}")]) from None
 
 
-def on_columns(outline, columns):
+def on_columns(outline, columns, free=False):
     """Return the outline as the columns of a mesh carry it, and a note where that cuts off much.
 
     Args:
         outline: as drawn.
         columns: of the mesh.
+        free: whether the surface is free: then it is a line of its own, kept as drawn.
     """
     x = np.linspace(outline.surface[0, 0], outline.surface[-1, 0], columns + 1)
-    carried = Outline(*(_sampled(line, x) for line in (outline.surface, outline.base)))
+    surface = outline.surface if free else _sampled(outline.surface, x)
+    carried = Outline(surface, _sampled(outline.base, x))
     off = carried.area / outline.area - 1
     relief = max(
         np.abs(np.interp(line[:, 0], *other.T) - line[:, 1]).max()
