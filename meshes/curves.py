@@ -18,27 +18,37 @@ MOST_PASSES = 40
 def edges_along(pieces, walls, lines, sizes, snap):
     """Return the nodes on all pieces, the edges between them, and their walls.
 
+    Args:
+        pieces: of lines and walls, cut where they meet.
+        walls, lines: arrays (n, 2), m.
+        sizes: edge length away from lines, m; on each line, shape (lines,), m; grading.
+        snap: what is nearer than this meets, m.
+
     Returns:
         Nodes, shape (n, 2), m; edges, rows of nodes in order, shape (k, 2); tag of the wall that
         each edge is of, 0 inside, shape (k,), int32.
     """
-    size, near, _ = sizes
+    size, near, grading = sizes
     strings = np.array([shapely.LineString(piece) for piece in pieces])
     middles = shapely.line_interpolate_point(strings, 0.5, normalized=True)
-    inner = np.zeros(len(pieces), dtype=bool)
-    if lines:
-        inner = shapely.dwithin(middles, shapely.MultiLineString(lines), 3 * snap)
+    wanted = np.full(len(pieces), np.inf)  # on lines, the shortest of those that coincide
+    for h in np.unique(near):
+        of_size = [line for line, own in zip(lines, near, strict=True) if own == h]
+        on = shapely.dwithin(middles, shapely.MultiLineString(of_size), 3 * snap)
+        wanted[on] = np.minimum(wanted[on], h)
     curves = [Curve(piece) for piece in pieces]
-    on_lines = [curve for curve, chosen in zip(curves, inner, strict=True) if chosen]
-    for curve in on_lines:
-        curve.sample(near, lambda x: np.full(len(x), near))
-    h_at = SizeField([curve.x for curve in on_lines], sizes)
-    for curve, chosen in zip(curves, inner, strict=True):
-        if not chosen:
-            curve.sample(size, h_at)
+    chains, least = [], near.min(initial=size)
+    for h in np.unique(wanted):  # the fine ones first, the walls last
+        here = [curve for curve, own in zip(curves, wanted, strict=True) if own == h]
+        most = h if np.isfinite(h) else size
+        h_at = SizeField(chains, (most, least, grading))
+        for curve in here:
+            curve.sample(most, h_at)
+        chains += [curve.x for curve in here]
+    shortest = SHORTEST * np.where(np.isfinite(wanted), wanted, least)
     for _ in range(MOST_PASSES):
         nodes, edges, of = _numbered(curves)
-        bad = _bad_edges(nodes, edges, SHORTEST * near, snap)
+        bad = _bad_edges(nodes, edges, shortest[of], snap)
         if not bad.any():
             break
         for row in np.unique(of[bad]):
@@ -73,7 +83,7 @@ def _bad_edges(nodes, edges, shortest, snap):
     Args:
         nodes: shape (n, 2), m.
         edges: rows of nodes, shape (k, 2).
-        shortest: least length of an edge that was halved for its shape, m.
+        shortest: least length of an edge that was halved for its shape, shape (k,), m.
         snap: edges below this that cross are beyond help, m.
     """
     ends = nodes[edges]
@@ -86,7 +96,7 @@ def _bad_edges(nodes, edges, shortest, snap):
     shared = same.any(axis=2).sum(axis=1)
     apart = shared == 0
     bad = np.zeros(len(edges), dtype=bool)
-    bad[one[apart & (length[one] > 1.5 * shortest)]] = True
+    bad[one[apart & (length[one] > 1.5 * shortest[one])]] = True
     a, b = one[apart], other[apart]
     crossing = shapely.dwithin(segments[a], segments[b], 1e-3 * snap)
     bad[a[crossing]] = True

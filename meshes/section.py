@@ -32,17 +32,17 @@ def fitted_mesh(surface, base, lines, size, near=None, grading=0.3, snap=None):
     Lines may end on walls, on each other or inside, cross, close and coincide in part; what lies
     outside of the section is cut off. Corners, ends and junctions become nodes, and so do corners
     between long straight pieces; the other nodes lie on the lines about ``near`` apart, less where
-    lines come close. A wall is meshed at ``size`` unless it is among the lines too.
+    lines come close or one with shorter edges is near. A wall is meshed at ``size`` unless it is among the lines too.
 
     Args:
         surface: top line, shape (n, 2), x ascending, m.
         base: bottom line over the same x range, shape (m, 2), m.
         lines: polylines, each of shape (k, 2), m; the first point of a closed one is its last too.
         size: edge length away from the lines, m.
-        near: edge length on the lines, m; ``size`` if None.
+        near: edge length on the lines, m, one for all or one for each; ``size`` if None.
         grading: growth of the edge length per distance from the lines.
         snap: what is nearer than this is made to meet, m; a millionth of the height if None, at
-            most a hundredth of ``near``.
+            most a hundredth of the least ``near``.
 
     Returns:
         (`SectionMesh`, points), with the regions between the lines numbered in
@@ -51,9 +51,11 @@ def fitted_mesh(surface, base, lines, size, near=None, grading=0.3, snap=None):
     Raises:
         MeshingError: on all ranks.
     """
-    comm, near = MPI.COMM_WORLD, near or size
+    comm = MPI.COMM_WORLD
+    near = np.broadcast_to(np.asarray(size if near is None else near, float), len(lines))
+    least = min(near, default=size)
     surface, base = np.asarray(surface, dtype=float), np.asarray(base, dtype=float)
-    snap = min(snap or SNAP * np.ptp(np.vstack([surface, base])[:, 1]), near / 100)
+    snap = min(snap or SNAP * np.ptp(np.vstack([surface, base])[:, 1]), least / 100)
     result = None
     if comm.rank == 0:
         try:
@@ -78,10 +80,12 @@ def _arrays(surface, base, lines, sizes, snap):
         raise MeshingError(f"surface and base cross: {shapely.is_valid_reason(outline)}")
     sides = [np.vstack([base[end], surface[end]]) for end in (0, -1)]
     walls = [*sides, base, surface]
-    given = [line for line in map(cleaned, lines) if len(line) > 1]
+    size, near, grading = sizes
+    kept = [(line, h) for line, h in zip(map(cleaned, lines), near, strict=True) if len(line) > 1]
+    given, near = [line for line, _ in kept], np.array([h for _, h in kept])
     pieces = joined_pieces(walls, given, outline, snap)
-    nodes, edges, tags = edges_along(pieces, walls, given, sizes, snap)
-    x, cells = _triangulated(nodes, edges, tags, sizes)
+    nodes, edges, tags = edges_along(pieces, walls, given, (size, near, grading), snap)
+    x, cells = _triangulated(nodes, edges, tags, (size, min(near, default=size), grading))
     return _labelled(x, cells, edges, tags)
 
 

@@ -13,6 +13,7 @@ from restoration.units import YEAR, number
 LINE_STYLES = {
     "horizon": {"color": "#111111", "linewidth": 0.9},
     "fault": {"color": "#c00020", "linewidth": 1.4},
+    "edge": {"color": "#c00020", "linewidth": 0.5},
 }
 
 
@@ -188,7 +189,7 @@ def legend_handles(panels):
     ]
     kinds = {line.kind for panel in panels for line in panel.lines}
     return handles + [
-        Line2D([], [], label=kind, **LINE_STYLES[kind]) for kind in LINE_STYLES if kind in kinds
+        Line2D([], [], label=kind, **LINE_STYLES[kind]) for kind in LINE_STYLES if kind in kinds - {"edge"}
     ]
 
 

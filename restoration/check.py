@@ -6,7 +6,7 @@ import numpy as np
 
 from restoration.advection import STOKES_SOLVES
 from restoration.plan import active, time_label, unknowns
-from restoration.scene import WALLS
+from restoration.scene import WALLS, Table
 from restoration.seeding import count_points
 from restoration.units import show
 
@@ -40,8 +40,8 @@ def describe(loaded):
         "walls": {
             name: {
                 "kind": scene.walls[name].kind,
-                "velocity_m_per_s": scene.walls[name].velocity,
-                "traction_pa": scene.walls[name].traction,
+                "velocity_m_per_s": _wall_numbers(scene.walls[name].velocity),
+                "traction_pa": _wall_numbers(scene.walls[name].traction),
             }
             for name in WALLS
         },
@@ -79,7 +79,8 @@ def describe_text(loaded):
     for line in about["lines"]:
         pieces = f" in {line['pieces']} pieces" if line["pieces"] > 1 else ""
         length = show(line["length_m"], "length")
-        lines.append(f"{line['kind']:<10} {line['name']}, {length} long{pieces}")
+        wide = f", {show(line['width_m'], 'length')} wide" if line["width_m"] else ""
+        lines.append(f"{line['kind']:<10} {line['name']}, {length} long{pieces}{wide}")
     for name in WALLS:
         lines.append(f"{name:<10} {_wall_text(scene.walls[name])}")
     lines.append(f"gravity    {scene.gravity:g} m/s^2, downwards")
@@ -109,11 +110,14 @@ def describe_text(loaded):
 
 def _lines(scene):
     """Return horizons and faults by name with their length and pieces."""
-    rows = {}
+    rows, widths = {}, {fault.name: fault.width for fault in scene.faults}
     for line in scene.lines:
+        if line.kind == "edge":
+            continue
+        width = widths.get(line.name) if line.kind == "fault" else None
         row = rows.setdefault(
             (line.name, line.kind),
-            {"name": line.name, "kind": line.kind, "length_m": 0.0, "pieces": 0},
+            {"name": line.name, "kind": line.kind, "length_m": 0.0, "pieces": 0, "width_m": width},
         )
         row["length_m"] += float(np.linalg.norm(np.diff(line.points, axis=0), axis=1).sum())
         row["pieces"] += 1
@@ -123,8 +127,26 @@ def _lines(scene):
 def _wall_text(wall):
     """Return a wall in words."""
     if wall.kind == "velocity":
-        parts = ["free" if v is None else show(v, "velocity") for v in wall.velocity]
-        return f"velocity [{', '.join(parts)}]"
+        return f"velocity [{', '.join(_value_text(v, 'velocity') for v in wall.velocity)}]"
     if wall.kind == "traction":
-        return f"traction [{', '.join(show(t, 'pressure') for t in wall.traction)}]"
+        return f"traction [{', '.join(_value_text(t, 'pressure') for t in wall.traction)}]"
     return wall.kind
+
+
+def _value_text(value, kind):
+    """Return one value of a wall in words."""
+    if not isinstance(value, Table):
+        return "free" if value is None else show(value, kind)
+    ways = ["along the wall"] * (len(value.positions) > 1) + ["in time"] * (len(value.times) > 1)
+    low, high = (show(end, kind) for end in value.span)
+    return f"{low} to {high} {' and '.join(ways)}"
+
+
+def _wall_numbers(values):
+    """Return the values of a wall as plain ones."""
+    return [
+        {"at_m": value.positions, "time_s": value.times, "value": value.values}
+        if isinstance(value, Table)
+        else value
+        for value in values
+    ]

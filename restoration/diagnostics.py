@@ -37,7 +37,7 @@ def summary(distance):
 
 
 def line_distances(before, after):
-    """Return the distances between lines of the same name, one entry per name.
+    """Return the distances between lines of the same name, one entry per name; no edges of faults.
 
     Every vertex of one set is measured to the nearest point of the other set, both ways, so that
     neither a spike nor a missing piece goes unseen. Vertices count by the length they stand for.
@@ -49,6 +49,7 @@ def line_distances(before, after):
         List of ``{name, kind, mean_m, max_m}`` in the order of ``before``.
     """
     rows = []
+    before, after = ([line for line in lines if line.kind != "edge"] for lines in (before, after))
     for name, kind in dict.fromkeys((line.name, line.kind) for line in before):
         one, two = (
             [line.points for line in lines if line.name == name] for lines in (before, after)

@@ -211,7 +211,8 @@ def _horizons(page, place, panel, extent, lines_end):
         axes.plot(*line.points.T, color="#c4c4c4", linewidth=4, solid_capstyle="round")
     colors = _line_colors(lines_end)
     for line in lines_end:
-        axes.plot(*line.points.T, color=colors[line.name], linewidth=1)
+        width = 0.5 if line.kind == "edge" else 1
+        axes.plot(*line.points.T, color=colors[line.name], linewidth=width)
     label_axes(axes, panel.scene, extent)
     _caption(page, place, "c", "horizons and faults at the start and at the end")
 

@@ -9,6 +9,7 @@ from forms.elements import ELEMENTS
 from meshes.box import section_mesh
 from meshes.refine import adapted_mesh
 from meshes.section import MeshingError, fitted_mesh
+from restoration.bands import areas, distance_to, mesh_lines, section_of
 from restoration.errors import MeshError
 from restoration.lines import spaced
 from restoration.particles import OUTSIDE
@@ -32,7 +33,12 @@ class Mesher:
         outline, plan = scene.outline, scene.mesh
         self.coarsest = float(np.sqrt(outline.area / np.prod(scene.cells)))
         self.finest = self.coarsest / 2 ** (plan.refine.levels if plan.refine else 0)
-        self.contacts = {line.name for line in scene.lines if _between_rocks(scene, line)}
+        self._widths = {fault.name: fault.width for fault in scene.faults}
+        self.contacts = {
+            line.name
+            for line in scene.lines
+            if line.name not in self._widths and _between_rocks(scene, line)
+        }
         self._base = None
 
     def mesh(self, lines, grid=None, flow=None):
@@ -79,14 +85,16 @@ class Mesher:
         where = plan.where if plan else ()
         follow = [line.points for line in lines if line.name in self.contacts]
         if "faults" in where:
-            follow += [line.points for line in lines if line.kind == "fault"]
+            plain = [line for line in lines if line.kind == "fault"]
+            follow += [line.points for line in plain if line.name not in self._widths]
         # the edges of a crossed square are its side and half its diagonal
         share = 0.85
-        near = self.finest if where else self.coarsest
+        near = share * (self.finest if where else self.coarsest)
+        bands = [(area, self._widths[name]) for name, area in areas(lines).items()]
+        pieces = mesh_lines(follow, bands, section_of(outline), near)
+        follow, near = [points for points, _ in pieces], [size for _, size in pieces]
         try:
-            return fitted_mesh(
-                outline.surface, outline.base, follow, share * self.coarsest, share * near
-            )
+            return fitted_mesh(outline.surface, outline.base, follow, share * self.coarsest, near)
         except MeshingError as error:
             raise MeshError(
                 f"no mesh follows the horizons any more: {error}; let particles carry the rock "
@@ -95,16 +103,20 @@ class Mesher:
 
     def _towards(self, lines, name):
         """Return the wanted size of cells as a function of points, small near some lines."""
-        kept = [
-            spaced(line.points, self.finest / 2)
-            for line in lines
-            if name in self.scene.mesh.refine.where
-            and (line.kind == "fault" if name == "faults" else line.name in self.contacts)
-        ]
-        if not kept:
+        kept, bands = [], []
+        if name in self.scene.mesh.refine.where:
+            if name == "faults":
+                bands = areas(lines).values()
+                kept = [x for x in lines if x.kind == "fault" and x.name not in self._widths]
+            else:
+                kept = [x for x in lines if x.kind == "edge" or x.name in self.contacts]
+        distances = [distance_to(area, self.finest / 2) for area in bands]
+        if kept:
+            tree = cKDTree(np.concatenate([spaced(x.points, self.finest / 2) for x in kept]))
+            distances.append(lambda x: tree.query(x)[0])
+        if not distances:
             return lambda x: np.full(len(x), np.inf)
-        tree = cKDTree(np.concatenate(kept))
-        return lambda x: graded(tree.query(x)[0], self.finest)
+        return lambda x: graded(np.min([far(x) for far in distances], axis=0), self.finest)
 
 
 def _between_rocks(scene, line):
@@ -117,10 +129,10 @@ def _between_rocks(scene, line):
     middle = (points[1:] + points[:-1])[keep] / 2
     rock = np.array([unit.rock for unit in scene.units])
     one, two = (
-        rock[scene.unit_at(middle + side * ASIDE * scene.outline.height * normal)]
-        for side in (-1, 1)
+        scene.unit_at(middle + side * ASIDE * scene.outline.height * normal) for side in (-1, 1)
     )
-    return bool((one != two).any())
+    banded = np.isin([one, two], [fault.unit for fault in scene.faults]).any(axis=0)
+    return bool((rock[one] != rock[two])[~banded].any())
 
 
 def gradient_size(grid, flow, finest):

@@ -169,7 +169,10 @@ def _faults(drawing, whole, tolerance):
         lines += [Line(name, "fault", shapely.get_coordinates(piece)) for piece in pieces]
     if drawing.faults:
         count = len(drawing.faults)
-        drawing.notes.append(f"faults ({count}) move with the rock; they do not yet slip or weaken")
+        drawing.notes.append(
+            f"faults ({count}) move with the rock; 'faults' in the case can give them a width and "
+            "a rock"
+        )
     return lines
 
 

@@ -26,6 +26,7 @@ UNITS = {
     },
     "pressure": {"MPa": 1e6, "kPa": 1e3, "Pa": 1.0},
     "acceleration": {"m/s^2": 1.0},
+    "angle": {"deg": math.pi / 180, "rad": 1.0},
 }
 EXAMPLES = {
     "length": "25 km",
@@ -36,12 +37,14 @@ EXAMPLES = {
     "velocity": "10 mm/yr",
     "pressure": "5 MPa",
     "acceleration": "9.81 m/s^2",
+    "angle": "60 deg",
 }
 # Other spellings in use, after `_plain`; Ma is an age and never a duration.
 SPELLINGS = {
     "metre": "m", "metres": "m", "meter": "m", "meters": "m",
     "y": "yr", "year": "yr", "years": "yr", "sec": "s", "ky": "kyr", "My": "Myr",
     "g/cc": "g/cm3", "kg m-3": "kg/m3", "g cm-3": "g/cm3",
+    "degree": "deg", "degrees": "deg", "radian": "rad", "radians": "rad",
     "m s-1": "m/s", "m s-2": "m/s2", "m/s/s": "m/s2",
 }  # fmt: skip
 SPELLINGS |= {
@@ -50,7 +53,8 @@ SPELLINGS |= {
     for year in ("/a", "/y", "/year", " yr-1", " a-1", " y-1")
 }
 SPELLINGS |= {"km/My": "km/Myr", "km Myr-1": "km/Myr"}
-SIGNS = str.maketrans({"·": "*", "⋅": "*", "²": "2", "³": "3", "⁻": "-", "¹": "1", "\xa0": " "})
+SIGNS = {"·": "*", "⋅": "*", "²": "2", "³": "3", "⁻": "-", "¹": "1", "\xa0": " ", "°": "deg"}
+SIGNS = str.maketrans(SIGNS)
 NUMBER = re.compile(r"[+-]?(\d{1,40}\.?\d{0,40}|\.\d{1,40})([eE][+-]?\d{1,4})?", re.ASCII)
 LONGEST = 64  # characters of a quantity
 
@@ -112,7 +116,7 @@ def show(value, kind, digits=3):
     """
     units = UNITS[kind]
     best = next(iter(units))
-    if kind != "velocity" and value and math.isfinite(value):
+    if kind not in ("velocity", "angle") and value and math.isfinite(value):
         by_size = sorted(units, key=units.get, reverse=True)
         fits = [unit for unit in by_size if abs(value) >= 0.9995 * units[unit]]
         best = fits[0] if fits else by_size[-1]

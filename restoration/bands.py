@@ -1,0 +1,140 @@
+"""Bands of rock along faults: where they are as they move, and what a mesh follows of them.
+
+The outline of a band in the section is a closed `scene.Line` of the kind ``edge`` with the name of
+its fault. It moves with the rock; where it lies on a wall it stays there. Where bands cross, the
+later one of a scene is on top.
+"""
+
+import numpy as np
+import shapely
+from scipy.spatial import cKDTree
+
+from restoration.lines import spaced
+
+EXTENSION = 6.0  # widths by which a line that ends at a wall goes on beyond it
+MITRE = 2.0  # half widths to which a band goes at sharp bends
+NEAR = 0.2  # of the edges of a band: what is nearer to it becomes one with it
+RAY = 4.0  # times that: how far a line that was cut short looks for the band ahead
+
+
+def section_of(outline):
+    """Return the polygon of an outline."""
+    return shapely.Polygon(np.vstack([outline.surface, outline.base[::-1]]))
+
+
+def widened(points, width, section):
+    """Return the band along a line, which goes on beyond the walls that the line reaches.
+
+    Args:
+        points: of the line, shape (n, 2), m.
+        width: of the band, m.
+        section: polygon.
+    """
+    for _ in range(2):  # both ends
+        step = points[-1] - points[-2]
+        step *= width / np.hypot(*step)
+        if not section.contains(shapely.Point(points[-1] + step)):
+            points = np.vstack([points, points[-1] + EXTENSION * step])
+        points = points[::-1]
+    line = shapely.LineString(points)
+    return line.buffer(width / 2, cap_style="flat", join_style="mitre", mitre_limit=MITRE)
+
+
+def rings(area):
+    """Return the closed outlines of polygons, outer and inner, a list of arrays (n, 2), m."""
+    parts = [part for part in shapely.get_parts(area) if part.geom_type == "Polygon"]
+    return [
+        shapely.get_coordinates(ring)
+        for part in parts
+        for ring in (part.exterior, *part.interiors)
+    ]
+
+
+def areas(lines):
+    """Return the polygons of the bands, by the name of the fault, in the order of the lines."""
+    found = {}
+    for line in lines:
+        if line.kind == "edge":
+            ring = shapely.make_valid(shapely.Polygon(line.points), method="structure")
+            before = found.get(line.name)
+            # an inner ring takes away what the outer one holds
+            found[line.name] = ring if before is None else before.symmetric_difference(ring)
+    return found
+
+
+def distance_to(area, spacing):
+    """Return a function of points (n, 2) that gives their distances from a polygon, 0 inside.
+
+    Args:
+        area: polygon.
+        spacing: of the vertices to which it is measured, m.
+    """
+    edges = cKDTree(np.concatenate([spaced(ring, spacing) for ring in rings(area)]))
+    shapely.prepare(area)
+    return lambda x: np.where(shapely.contains_xy(area, *x.T), 0.0, edges.query(x)[0])
+
+
+def mesh_lines(lines, bands, section, near):
+    """Return what a mesh follows: lines cut at the bands, and the edges of bands in the section.
+
+    A line within a small part of an edge length of a band is cut there and led onto its edge, so
+    that no slivers remain between the two; and so is an edge at the wall of the section.
+
+    Args:
+        lines: horizons and faults without a width, each of shape (n, 2), m.
+        bands: polygon and width, m, of every band, the uppermost last.
+        section: polygon.
+        near: edge length wanted on lines, m.
+
+    Returns:
+        List of (points, edge length): that of a band is at most half its width, m.
+    """
+    found, above, around = [], shapely.Polygon(), shapely.Polygon()
+    reach = 0.0
+    for area, width in reversed(bands):
+        size = min(near, width / 2)
+        reach = max(reach, NEAR * size)
+        frame = section.exterior.buffer(NEAR * size)
+        for ring in rings(area):
+            for edge in _cut(ring, frame, section.exterior, NEAR * size):
+                pieces = _cut(edge, around, above.boundary, reach)
+                found += [(piece, size) for piece in pieces]
+        above = above.union(area)
+        around = around.union(area.buffer(NEAR * size, join_style="mitre", mitre_limit=MITRE))
+    for line in lines:
+        found += [(piece, near) for piece in _cut(line, around, above.boundary, reach)]
+    return found
+
+
+def _cut(points, mask, target, reach):
+    """Return the pieces of a line outside of a mask; where they are cut they go on to the target.
+
+    Args:
+        points: shape (n, 2), m.
+        mask: polygon around the target.
+        target: line that cut pieces end on.
+        reach: distance of the edge of the mask from the target, m.
+    """
+    line = shapely.LineString(points)
+    if not line.intersects(mask):
+        return [points]
+    ends, pieces = points[[0, -1]], []
+    parts = shapely.get_parts(shapely.line_merge(line.difference(mask)))
+    for piece in parts[shapely.length(parts) > reach]:
+        piece = shapely.get_coordinates(piece)
+        for _ in range(2):
+            if np.abs(piece[-1] - ends).max(axis=1).min() > 1e-6 * reach:
+                piece = np.vstack([piece, _ahead(piece[-2:], target, reach)])
+            piece = piece[::-1]
+        pieces.append(piece)
+    return pieces
+
+
+def _ahead(segment, target, reach):
+    """Return where a line that ends with a segment meets the target: ahead, else beside it."""
+    end = shapely.Point(segment[1])
+    step = segment[1] - segment[0]
+    step *= RAY * reach / (np.hypot(*step) or 1.0)
+    ray = shapely.LineString([segment[1], segment[1] + step])
+    hit = ray.intersection(target)
+    return shapely.get_coordinates(shapely.shortest_line(target if hit.is_empty else hit, end))[0]
