@@ -6,7 +6,7 @@ from dolfinx import fem
 from petsc4py import PETSc
 
 from forms.stokes import slip_form, traction_load
-from restoration.scene import normal_axis
+from restoration.scene import normal_axis, value_at
 
 TRACTION_DEGREE = 4  # of the polynomials that hold a traction given as a function
 
@@ -16,7 +16,45 @@ def is_inclined_slip(name, wall, section):
     return wall.kind == "free-slip" and name not in section.flat
 
 
-def velocity_conditions(walls, section, spaces):
+class WallValues:
+    """Functions that hold the values of walls; they follow tables in time, and the mesh.
+
+    Attributes:
+        held: of (function, value, scale, cells beside the wall).
+    """
+
+    def __init__(self):
+        self.held = []
+
+    def __bool__(self):
+        return bool(self.held)
+
+    def hold(self, space, value, facets, scale=1.0):
+        """Return a function on a space with a wall value over ``scale``, right at facets only."""
+        topology = space.mesh.topology
+        dim = topology.dim
+        topology.create_connectivity(dim - 1, dim)
+        beside = topology.connectivity(dim - 1, dim)
+        cells = np.unique([beside.links(facet)[0] for facet in facets]).astype(np.int32)
+        if space.mesh.comm.size > 1:  # a rank may own a corner of a facet that only others know
+            cells = np.arange(topology.index_map(dim).size_local, dtype=np.int32)
+        self.held.append((fem.Function(space), value, scale, cells))
+        self._fill(*self.held[-1], 0.0)
+        return self.held[-1][0]
+
+    def update(self, time):
+        """Set all functions for a model time, s, on the mesh where its nodes are now."""
+        for held in self.held:
+            self._fill(*held, time)
+
+    @staticmethod
+    def _fill(function, value, scale, cells, time):
+        dim = function.function_space.mesh.topology.dim
+        function.interpolate(lambda x: value_at(value, x[:dim].T, time) / scale, cells)
+        function.x.scatter_forward()
+
+
+def velocity_conditions(walls, section, spaces, values):
     """Return the strong conditions on the velocity, wall by wall and component by component.
 
     No-slip walls come last: where two walls meet, the one that holds the rock fast decides.
@@ -25,6 +63,7 @@ def velocity_conditions(walls, section, spaces):
         walls: `scene.Wall` by name.
         section: `meshes.data.SectionMesh`.
         spaces: `Spaces`.
+        values: `WallValues`, which takes up what is not a number.
     """
     conditions = []
     for name, wall in sorted(walls.items(), key=lambda item: item[1].kind == "no-slip"):
@@ -33,19 +72,18 @@ def velocity_conditions(walls, section, spaces):
         facets = section.facet_tags.find(section.wall_tags[name])
         for axis, value in enumerate(wall.velocity):
             if value is not None:
-                conditions.append(_held(spaces.W.sub(0).sub(axis), facets, value))
+                conditions.append(_held(spaces.W.sub(0).sub(axis), facets, value, values))
     return conditions
 
 
-def _held(component, facets, value):
-    """Return the condition that holds a velocity component, by a number or a function of points."""
+def _held(component, facets, value, values):
+    """Return the condition that holds a velocity component, by a number or a function."""
     dim = component.mesh.topology.dim
     if not callable(value):
         dofs = fem.locate_dofs_topological(component, dim - 1, facets)
         return fem.dirichletbc(PETSc.ScalarType(value), dofs, component)
     alone, _ = component.collapse()
-    held = fem.Function(alone)
-    held.interpolate(lambda x: value(x[:dim].T))
+    held = values.hold(alone, value, facets)
     dofs = fem.locate_dofs_topological((component, alone), dim - 1, facets)
     return fem.dirichletbc(held, dofs, component)
 
@@ -73,27 +111,28 @@ def wall_form(trial, test, eta, length, walls, section, spaces):
     return sum(terms[1:], terms[0]) if terms else None
 
 
-def wall_load(v, scale, walls, section, spaces):
-    """Return the load of the tractions divided by ``scale``; None if there are none."""
-    terms = [
-        traction_load(
-            v,
-            ufl.as_vector([_traction(t, scale, section.mesh) for t in wall.traction]),
-            spaces.ds(section.wall_tags[name]),
-        )
-        for name, wall in walls.items()
-        if any(wall.traction)
-    ]
+def wall_load(v, scale, walls, section, spaces, values):
+    """Return the load of the tractions divided by ``scale``; None if there are none.
+
+    Args:
+        v: test function of the velocity.
+        scale: Pa s.
+        walls, section, spaces, values: as in `velocity_conditions`.
+    """
+
+    def component(value, tag):
+        if not callable(value):
+            return fem.Constant(section.mesh, PETSc.ScalarType(value / scale))
+        space = fem.FunctionSpace(section.mesh, ("Lagrange", TRACTION_DEGREE))
+        return values.hold(space, value, section.facet_tags.find(tag), scale)
+
+    terms = []
+    for name, wall in walls.items():
+        if any(wall.traction):
+            tag = section.wall_tags[name]
+            push = ufl.as_vector([component(value, tag) for value in wall.traction])
+            terms.append(traction_load(v, push, spaces.ds(tag)))
     return sum(terms[1:], terms[0]) if terms else None
-
-
-def _traction(value, scale, mesh):
-    """Return a component of a traction, given by a number or a function of points."""
-    if not callable(value):
-        return fem.Constant(mesh, PETSc.ScalarType(value / scale))
-    given = fem.Function(fem.FunctionSpace(mesh, ("Lagrange", TRACTION_DEGREE)))
-    given.interpolate(lambda x: value(x[: mesh.topology.dim].T) / scale)
-    return given
 
 
 def outflow(u, walls, section, spaces):

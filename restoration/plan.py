@@ -1,6 +1,7 @@
 """What a scene requires of an engine, and how large the problem is; solves nothing."""
 
 from restoration.advection import FROZEN
+from restoration.scene import Table
 from restoration.units import show
 
 
@@ -46,6 +47,8 @@ def active(scene):
         parts.append("the level of the pressure is set at the surface: no wall is left to itself")
     else:
         parts.append("the level of the pressure comes from the wall that is left to itself")
+    if _tables(scene):
+        parts.append("walls that vary: their values are set anew for every flow")
     if len(scene.rocks) == 1:
         parts.append("one rock: only the walls can move it")
     if scene.gravity == 0:
@@ -63,6 +66,12 @@ def active(scene):
             f"({scene.transfer.mean} mean)"
         )
     return parts
+
+
+def _tables(scene):
+    """Return whether a wall is held or pushed by a table."""
+    walls = scene.walls.values()
+    return any(isinstance(v, Table) for wall in walls for v in (*wall.velocity, *wall.traction))
 
 
 def _solver(scene):

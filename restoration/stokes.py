@@ -9,8 +9,10 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from forms.stokes import gravity_load, schur_mass, source_load, stokes_form
+from forms.surface import column_weight, stabilisation
 from restoration.blocks import Blocks
 from restoration.boundary import (
+    WallValues,
     outflow,
     pressure_pin,
     velocity_conditions,
@@ -42,6 +44,7 @@ class Counts:
     krylov_iterations: int = 0
     refinements: int = 0
     worst_residual: float = 0.0
+    responses: int = 0  # of the surface: back-substitutions beside the solves
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,6 +81,7 @@ class StokesProblem:
         steady: whether the viscosity never changes, so that one factorisation serves.
         solver: `solvers.SolverPlan`; None for the default.
         counts: `Counts` to go on with; None begins anew.
+        top: `surface.Top` of a free surface whose weight when moved may count, else None.
 
     Attributes:
         counts: what was done so far.
@@ -97,9 +101,10 @@ class StokesProblem:
         steady,
         solver=None,
         counts=None,
+        top=None,
     ):
         self.spaces, self.section, self.eta0, self.steady = spaces, section, eta0, steady
-        self.closed = closed
+        self.closed, self.top = closed, top
         self.counts = counts or Counts()
         self._comm = section.mesh.comm
         area = section.area
@@ -107,19 +112,20 @@ class StokesProblem:
         self.length = float((area / section.cell_count) ** (1 / section.dim))
         # a number in a form would be compiled anew for every mesh
         self._length = fem.Constant(section.mesh, PETSc.ScalarType(self.length))
-        self.bcs = velocity_conditions(walls, section, spaces)
-        leak = fem.Constant(section.mesh, PETSc.ScalarType(0))
+        self._wall_values = WallValues()
+        self.bcs = velocity_conditions(walls, section, spaces, self._wall_values)
+        self._leak = fem.Constant(section.mesh, PETSc.ScalarType(0))
         self.leak = 0.0
         if closed:
-            # The walls as the mesh interpolates them may let a little more in than out, which no
-            # divergence-free flow can meet: spread over the section it does not spoil the pin.
-            self.leak = self._prescribed_outflow(walls)
-            leak.value = self.leak / area
+            self._on_walls = fem.Function(spaces.W)
+            u, _ = ufl.split(self._on_walls)
+            self._outflow = fem.form(outflow(u, walls, section, spaces))
+            self._find_leak()
         self.solver_plan = solver
         name = choose_solver(solver, section.dim, spaces.unknowns)
         if closed and name == "direct":
             self.bcs = [*self.bcs, pressure_pin(spaces)]
-        self._make_forms(rho, eta, walls, gravity, leak)
+        self._make_forms(rho, eta, walls, gravity)
         self.A = fem.petsc.create_matrix(self.a)
         self.b = fem.petsc.create_vector(self.load)
         self.x, self.r = self.b.duplicate(), self.b.duplicate()
@@ -135,7 +141,7 @@ class StokesProblem:
     def _make_solver(self, name, eta):
         options = dict(self.solver_plan.options) if self.solver_plan else {}
         if name == "direct":
-            return DirectSolver(self.A, options)
+            return DirectSolver(self.A, options, symmetric=self.top is None)
         spaces = self.spaces
         p, q = ufl.TrialFunction(spaces.Q), ufl.TestFunction(spaces.Q)
         mass = fem.form(schur_mass(p, q, eta, self._length, spaces.dx))
@@ -170,18 +176,73 @@ class StokesProblem:
         """Return the value of a form on all ranks."""
         return self._comm.allreduce(fem.assemble_scalar(form), op=MPI.SUM)
 
-    def _make_forms(self, rho, eta, walls, gravity, leak):
+    def _make_forms(self, rho, eta, walls, gravity):
         spaces, section = self.spaces, self.section
         trial, test = ufl.TrialFunctions(spaces.W), ufl.TestFunctions(spaces.W)
         a = stokes_form(*trial, *test, eta, self._length, spaces.dx)
         slip = wall_form(trial, test, eta, self._length, walls, section, spaces)
-        self.a = fem.form(a if slip is None else a + slip)
+        a = a if slip is None else a + slip
         down = np.zeros(section.dim)
         down[-1] = -gravity / self.eta0
-        load = gravity_load(test[0], rho, fem.Constant(section.mesh, down), spaces.dx)
-        load += source_load(test[1], leak, self._length, spaces.dx)
-        push = wall_load(test[0], self.eta0, walls, section, spaces)
-        self.load = fem.form(load if push is None else load + push)
+        down = fem.Constant(section.mesh, down)
+        load = gravity_load(test[0], rho, down, spaces.dx)
+        if self.top:
+            # theta dt, and the flow that stands for the moved weight already
+            self._lead = fem.Constant(section.mesh, PETSc.ScalarType(0))
+            self._before = fem.Function(spaces.V)
+            self.column = fem.Function(spaces.H)
+            top = self.top
+            weight = lambda u: stabilisation(u, test[0], rho, down, top.n)  # noqa: E731
+            a += self._lead * top.over(weight(trial[0]))
+            load += self._lead * top.over(weight(self._before))
+            on_top = column_weight(test[0], rho, down, top.n, self.column)
+            self._column_load = fem.form(top.over(on_top))
+        load += source_load(test[1], self._leak, self._length, spaces.dx)
+        push = wall_load(test[0], self.eta0, walls, section, spaces, self._wall_values)
+        self.a, self.load = fem.form(a), fem.form(load if push is None else load + push)
+
+    def set_time(self, time):
+        """Set what the walls prescribe for a model time, s, and for the mesh as it stands now.
+
+        Nothing is done where all walls are held by numbers.
+        """
+        if self._wall_values:
+            self._wall_values.update(time)
+            if self.closed:
+                self._find_leak()
+
+    def stabilise(self, lead, before=None):
+        """Let the weight of the moved surface count in the flows to come.
+
+        Args:
+            lead: theta times the signed step, s; 0 for the flow of the instant.
+            before: velocity that the surface is known to move with already, shape (nodes, 2), m/s,
+                or None; near that of the flow to come, it leaves an error of second order.
+        """
+        self._lead.value = lead
+        self._before.x.array[:] = 0 if before is None else before.ravel()
+
+    def response(self, column):
+        """Return the velocity that a column of rock on the surface adds to the flow solved last.
+
+        Args:
+            column: its height at the dofs of `Spaces.H`, m.
+
+        Returns:
+            Shape (nodes, 2), m/s.
+        """
+        self.column.x.array[:] = column
+        with self.b.localForm() as local:
+            local.set(0)
+        fem.petsc.assemble_vector(self.b, self._column_load)
+        self.b.ghostUpdate(addv=PETSc.InsertMode.ADD, mode=PETSc.ScatterMode.REVERSE)
+        for condition in self.bcs:  # what is held stays so
+            dofs, owned = condition.dof_indices()
+            self.b.array_w[dofs[:owned]] = 0
+        self._solve(self.b, self.x)
+        self.counts.responses += 1
+        with self.x.localForm() as local:
+            return local.array_r[self.spaces.v_in_w].reshape(-1, self.section.dim).copy()
 
     def assemble(self):
         """Assemble the load and, unless it never changes, the matrix."""
@@ -224,13 +285,16 @@ class StokesProblem:
         for held in (self.A, self.b, self.x, self.r):
             held.destroy()
 
-    def _prescribed_outflow(self, walls):
-        """Return the net flux through the walls as the mesh represents it, m^dim/s."""
-        w = fem.Function(self.spaces.W)
-        fem.petsc.set_bc(w.vector, self.bcs)
-        w.x.scatter_forward()
-        u, _ = ufl.split(w)
-        return self._total(fem.form(outflow(u, walls, self.section, self.spaces)))
+    def _find_leak(self):
+        """Spread over the section what the walls let out.
+
+        As the mesh interpolates them they may let a little more in than out, which no
+        divergence-free flow can meet: spread it does not spoil the pin.
+        """
+        fem.petsc.set_bc(self._on_walls.vector, self.bcs)
+        self._on_walls.x.scatter_forward()
+        self.leak = self._total(self._outflow)
+        self._leak.value = self.leak / self.section.area
 
     def _assemble_matrix(self):
         self.A.zeroEntries()

@@ -113,7 +113,8 @@ def unbalanced(walls, outline):
     net, gross = net[worst], gross[worst]
     if abs(net) <= 1e-6 * gross:
         return []
-    when = f" at {show(times[worst], 'time')}" if len(times) > 1 else ""
+    moment = show(times[worst], "time") if times[worst] >= 0 else show(-times[worst], "age")
+    when = f" at {moment}" if len(times) > 1 else ""
     more, less = ("out", "in") if net > 0 else ("in", "out")
     return [
         f"the walls let {abs(net) * YEAR:.3g} m^2/yr more {more} than {less}{when}, and rock keeps "

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from ruamel.yaml import YAML
 
+from restoration.check import describe, describe_text
 from restoration.errors import CaseError
 from restoration.resolve import load
 from restoration.scene import RefinePlan, SolverPlan
@@ -180,6 +181,51 @@ def test_walls(case, entry, velocity, traction):
     wall = case(CASE, f"boundary.left={entry}", free).scene.walls["left"]
     assert wall.velocity == pytest.approx(velocity)
     assert wall.traction == traction
+
+
+OPEN = ("boundary.surface={traction: [0 MPa, 0 MPa]}", "time.marks=[0 Myr, 2 Myr]")
+TABLES = (
+    "{velocity: [{at: [0 km, -1 km, -2 km], value: [10 mm/yr, 10 mm/yr, 0 mm/yr]}, free]}",
+    "{velocity: [{time: [0 kyr, 20 kyr], value: [1 cm/yr, 0 mm/yr]}, free]}",
+    "{velocity: [0 mm/yr, {at: [-4 km, 0 km], time: [0 yr, 9 yr], "
+    "value: [[0 mm/yr, 1 mm/yr], [0 mm/yr, 2 mm/yr]]}]}",
+    "{traction: [0 MPa, {time: [20 kyr, 0 kyr], value: [-5 MPa, 0 MPa]}]}",
+)
+
+
+@pytest.mark.parametrize("entry", TABLES)
+def test_a_case_with_tables_resolves_to_a_case_again(case, tmp_path, entry):
+    loaded = case(CASE, f"boundary.left={entry}", *OPEN)
+    again = tmp_path / "again.yaml"
+    again.write_text(loaded.resolved, encoding="utf-8")
+    assert load(again).resolved == loaded.resolved
+    assert load(again).scene.walls == loaded.scene.walls
+    assert not loaded.scene.sealed
+    json.dumps(describe(loaded), allow_nan=False)
+
+
+def test_tables_are_read_along_the_wall_and_in_time(case):
+    along, in_time, both, pushed = (
+        case(CASE, f"boundary.left={entry}", *OPEN).scene.walls["left"] for entry in TABLES
+    )
+    points = np.array([[0, 0], [0, -1500], [0, -4000.0]])
+    mm = 1e-3 / YEAR
+    assert along.velocity[0](points) == pytest.approx(np.array([10, 5, 0]) * mm)
+    assert in_time.velocity[0](points, 5e3 * YEAR) == pytest.approx(np.full(3, 7.5) * mm)
+    assert in_time.velocity[0](points, 5e6 * YEAR) == pytest.approx(np.zeros(3))
+    assert both.velocity[1](points, 4.5 * YEAR) == pytest.approx(np.array([1.5, 0.9375, 0]) * mm)
+    assert pushed.traction[1](points, 5e3 * YEAR) == pytest.approx(np.full(3, -1.25e6))
+
+
+def test_ages_of_a_table_count_back_as_those_of_the_marks(case):
+    left = "boundary.left={velocity: [{time: [0 Ma, 2 Ma], value: [0 mm/yr, 4 mm/yr]}, free]}"
+    loaded = case(CASE, left, OPEN[0])
+    table = loaded.scene.walls["left"].velocity[0]
+    assert table.times == pytest.approx((-2e6 * YEAR, 0))
+    assert table(np.zeros((1, 2)), -1.5e6 * YEAR) == pytest.approx(3e-3 / YEAR)
+    told = describe_text(loaded)
+    assert "velocity [0 mm/yr to 4 mm/yr in time, free]" in told
+    assert "active     walls that vary" in told
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,7 @@ import pytest
 
 from restoration.engine import StokesEngine
 from restoration.particles import seed
-from restoration.scene import Cloud, Outline, TimePlan, Wall
+from restoration.scene import Cloud, Outline, Table, TimePlan, Wall, normal_velocity
 from restoration.stokes import Flow
 from restoration.walls import unbalanced
 from tests.restoration.conftest import HEIGHT, MYR, WIDTH, diapir_scene
@@ -43,6 +43,37 @@ def test_one_wall_alone_is_out_of_balance(name, wall, way):
     slip = {"left": SLIP_X, "right": SLIP_X, "base": SLIP_Z, "surface": SLIP_Z}
     (message,) = unbalanced(slip | {name: wall}, BOX)
     assert f"m^2/yr more {way} than" in message
+
+
+def table(axis, values, positions=(0.0,), times=(0.0,)):
+    return Table(axis, positions, times, values)
+
+
+@pytest.mark.parametrize(
+    ("wall", "flux"),
+    [
+        (table(1, ((0.0, 4e-9),), (-500.0, 0.0)), 1e-6),
+        (table(1, ((0.0, 4e-9),), (-250.0, 0.0)), 0.5e-6),
+        (table(1, ((2e-9,), (3e-9,)), times=(0.0, MYR)), 1e-6),
+    ],
+)
+def test_tables_are_balanced_by_what_they_let_out(wall, flux):
+    walls = {"left": moving(flux / 500, None), "right": moving(wall, None)}
+    messages = unbalanced(walls | {"base": SLIP_Z, "surface": SLIP_Z}, BOX)
+    late = ["more out than in at 1 Myr"] if len(wall.times) > 1 else []
+    assert [part for part in late if part in messages[0]] == late
+    assert len(messages) == len(late)
+
+
+def test_a_table_lets_rock_through_unless_all_of_it_is_zero():
+    still, slow = (
+        table(1, ((0.0,), (0.0,)), times=(0.0, 1.0)),
+        table(1, ((0.0, -1e-9),), (0.0, 1.0)),
+    )
+    assert normal_velocity("left", moving(still, None), BOX) == 0
+    assert normal_velocity("left", moving(slow, None), BOX) == -1e-9
+    assert normal_velocity("surface", moving(slow, 0.0), WEDGE) == -1e-9
+    assert normal_velocity("surface", moving(slow, None), WEDGE) is None
 
 
 def pushed(walls, shift):
