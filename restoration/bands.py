@@ -63,7 +63,9 @@ def areas(lines):
 
 
 def distance_to(area, spacing):
-    """Return a function of points (n, 2) that gives their distances from a polygon, 0 inside.
+    """Return a function of points (n, 2) that gives their distances from the edge of a polygon, m.
+
+    Those inside are negative.
 
     Args:
         area: polygon.
@@ -71,7 +73,7 @@ def distance_to(area, spacing):
     """
     edges = cKDTree(np.concatenate([spaced(ring, spacing) for ring in rings(area)]))
     shapely.prepare(area)
-    return lambda x: np.where(shapely.contains_xy(area, *x.T), 0.0, edges.query(x)[0])
+    return lambda x: np.where(shapely.contains_xy(area, *x.T), -1, 1) * edges.query(x)[0]
 
 
 def mesh_lines(lines, bands, section, near):

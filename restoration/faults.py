@@ -9,10 +9,11 @@ from restoration.bands import rings, section_of, widened
 from restoration.errors import CaseError
 from restoration.scene import Fault, Line
 from restoration.units import show
-from restoration.words import hint, quoted
+from restoration.words import hint, listed, quoted
 
 SLACK = 1e-6  # of the height: what is less out of the section is in it
 ARC = np.radians(2)  # between the vertices of a fault that flattens
+MOST_LEVELS = 8  # of a mesh that is refined
 LEAST = 1e-9  # of the section, that a band has to cover
 
 
@@ -82,7 +83,7 @@ class _Wrong(ValueError):
 
 
 def thin(faults, cells, outline, plan):
-    """Return notes on faults that are thinner than the cells of a mesh that does not follow them.
+    """Return a note on faults that are thinner than the cells of a mesh that does not follow them.
 
     Args:
         faults: `scene.Fault`s.
@@ -95,16 +96,19 @@ def thin(faults, cells, outline, plan):
     coarse = np.sqrt(outline.area / np.prod(cells))
     refined = plan.refine is not None and "faults" in plan.refine.where
     cell = coarse / 2 ** (plan.refine.levels if refined else 0)
-    notes = []
-    for fault in faults:
-        if fault.width < cell:
-            levels = int(np.ceil(np.log2(coarse / fault.width) - 1e-9))
-            notes.append(
-                f"fault {quoted(fault.name)} is {show(fault.width, 'length')} wide and the finest "
-                f"cells are {show(cell, 'length')}: the flow sees it wider and stronger than it "
-                f"is; raise mesh.refine.levels to {levels} with where: [faults], or mesh.cells"
-            )
-    return notes
+    slim = [fault for fault in faults if fault.width < cell]
+    if not slim:
+        return []
+    least = min(fault.width for fault in slim)
+    levels = int(np.ceil(np.log2(coarse / least) - 1e-9))
+    more = "raise mesh.cells"
+    if levels <= MOST_LEVELS:
+        more = f"write mesh.refine: {{levels: {levels}, where: [faults]}}, raise mesh.cells"
+    return [
+        f"{'fault' if len(slim) == 1 else 'faults'} {listed([f.name for f in slim], 'and')}: "
+        f"{show(least, 'length')} wide where the finest cells are {show(cell, 'length')}, so that "
+        f"the flow sees a broader and stronger band; {more}, or write mesh.interfaces: fitted"
+    ]
 
 
 def _names(entries):

@@ -14,6 +14,7 @@ from restoration.errors import MeshError
 from restoration.lines import spaced
 from restoration.particles import OUTSIDE
 from restoration.seeding import graded
+from restoration.surface import checked, heights_on, surface_of
 
 ASIDE = 1e-4  # of the height: where the rocks on both sides of a line are asked for
 
@@ -58,7 +59,7 @@ class Mesher:
         plan = self.scene.mesh
         if plan.interfaces == "fitted":
             return self._fitted(lines)
-        base = self._standing()
+        base = self._columns(lines)
         if plan.refine is None:
             return base, None
         sizes = [self._towards(lines, name) for name in ("interfaces", "faults")]
@@ -73,12 +74,31 @@ class Mesher:
             plan.refine.levels,
         ), None
 
-    def _standing(self):
-        if self._base is None:
-            outline = self.scene.outline
+    def _columns(self, lines):
+        """Return the mesh of columns: one for the run, but below a surface that moves."""
+        if self._base is None or self.scene.free:
             cell = ELEMENTS[self.scene.mesh.element].cells[0]
-            self._base = section_mesh(outline.surface, outline.base, self.scene.cells, cell)
+            air, surface = self.scene.air, self._surface(lines)
+            if air:
+                top = surface[:, 1].max() + air.thickness
+                air = top, max(1, round(air.thickness * self.scene.cells[1] / self._height))
+            self._base = section_mesh(
+                surface, self.scene.outline.base, self.scene.cells, cell, air
+            )
         return self._base
+
+    @property
+    def _height(self):
+        return self.scene.outline.area / self.scene.outline.width
+
+    def _surface(self, lines):
+        """Return the top line of the section as the mesh is to have it, m."""
+        line = surface_of(lines)
+        if line is None:
+            return self.scene.outline.surface
+        left, right = self.scene.outline.surface[[0, -1], 0]
+        x = np.linspace(left, right, self.scene.cells[0] + 1)
+        return np.column_stack([x, heights_on(checked(line.points), x)])
 
     def _fitted(self, lines):
         outline, plan = self.scene.outline, self.scene.mesh.refine
@@ -116,7 +136,7 @@ class Mesher:
             distances.append(lambda x: tree.query(x)[0])
         if not distances:
             return lambda x: np.full(len(x), np.inf)
-        return lambda x: graded(np.min([far(x) for far in distances], axis=0), self.finest)
+        return lambda x: graded(np.min([far(x) for far in distances], axis=0).clip(0), self.finest)
 
 
 def _between_rocks(scene, line):

@@ -3,6 +3,11 @@
 import numpy as np
 from scipy.ndimage import distance_transform_edt
 
+from restoration.bands import areas, distance_to
+
+ACROSS = 2  # particles at least, in a row across the band of a fault
+MOST = 1000  # particles in a lattice square for that
+
 
 def seed_points(scene):
     """Return positions, units and areas of the particles of a scene.
@@ -10,7 +15,8 @@ def seed_points(scene):
     The lattice follows the columns of the outline. A lattice square within one mesh cell of a
     contact between different rocks holds ``densify`` particles of low discrepancy instead of one
     (paper, sect. 3.4), each standing for its share of the square; where the mesh is finer near
-    contacts, more in proportion.
+    contacts and in the bands of faults, more in proportion. Squares that a band touches hold so
+    many that two lie across the band.
 
     Args:
         scene: `scene.Scene`.
@@ -47,7 +53,8 @@ def _share(scene):
     middle = np.stack(
         np.meshgrid((np.arange(across) + 0.5) / across, (np.arange(up) + 0.5) / up), axis=-1
     )
-    unit = scene.unit_at(_to_section(outline, middle.reshape(-1, 2))[0])
+    x, _ = _to_section(outline, middle.reshape(-1, 2))
+    unit = scene.unit_at(x)
     rock = np.array([u.rock for u in scene.units])[unit].reshape(up, across)
     alone = np.ones(rock.shape, bool)  # no other rock in the next square
     for axis in (0, 1):
@@ -56,18 +63,39 @@ def _share(scene):
         one[axis], two[axis] = slice(None, -1), slice(1, None)
         alone[tuple(one)] &= ~differs
         alone[tuple(two)] &= ~differs
+    square = outline.height / up, outline.width / across
+    bands = areas(scene.lines)
+    off = {  # of the middles of the squares from the edges of the bands
+        name: distance_to(area, min(square) / 2)(x).reshape(rock.shape)
+        for name, area in bands.items()
+    }
     refine = scene.mesh.refine
     levels = refine.levels if refine and "interfaces" in refine.where else 0
-    if alone.all() or (plan.densify == 1 and not levels):
+    if (alone.all() and not bands) or (plan.densify == 1 and not levels and not bands):
         return np.ones(rock.shape, int)
-    square = outline.height / up, outline.width / across
     reach = max(outline.width / cells[0], outline.height / cells[1])
     finest = reach / 2**levels
     # from the middle of a square to the contact at the edge of the nearest one that touches it
-    distance = distance_transform_edt(alone, sampling=square) + min(square) / 2
-    share = np.where(distance < max(finest, min(square)), plan.densify, 1)
-    finer = reach / np.minimum(reach, graded(distance, finest)) if levels else np.ones(share.shape)
-    return share * np.rint(finer**2).astype(int)
+    distance = np.full(rock.shape, np.inf)
+    if not alone.all():
+        distance = distance_transform_edt(alone, sampling=square) + min(square) / 2
+    edge = np.min([np.full(rock.shape, np.inf), *map(np.abs, off.values())], axis=0)
+    wanted = np.full(rock.shape, reach)
+    if levels:
+        wanted = np.minimum(wanted, graded(np.minimum(distance, edge), finest))
+    at_bands = finest
+    if refine and "faults" in refine.where:
+        at_bands = reach / 2**refine.levels
+        inside = np.min([np.full(rock.shape, np.inf), *off.values()], axis=0).clip(0)
+        wanted = np.minimum(wanted, graded(inside, at_bands))
+    dense = (distance < max(finest, min(square))) | (edge < max(at_bands, min(square)))
+    share = np.where(dense, plan.densify, 1)
+    share = share * np.rint((reach / wanted) ** 2).astype(int)
+    for fault in scene.faults:
+        least = np.ceil(np.prod(square) * (ACROSS / fault.width) ** 2)
+        touched = off[fault.name] < np.hypot(*square) / 2
+        share[touched] = np.maximum(share[touched], min(int(least), MOST))
+    return share
 
 
 def graded(distance, finest):
