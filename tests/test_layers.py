@@ -41,6 +41,7 @@ ORDER = {
         "advection",
         "plan",
         "seeding",
+        "layered",
         "spaces",
         "particles",
         "transfer",
