@@ -71,6 +71,7 @@ ORDER = {
     "restoration/bench": [
         "rows",
         "exact",
+        "two_interface",
         "reference",
         "boxes",
         "scenes",
