@@ -19,8 +19,8 @@ class SectionMesh:
         facet_tags: tag of every wall facet.
         wall_tags: wall name to tag.
         flat: walls that are straight and along an axis.
-        regions: number of the region that a fitted mesh has each cell in, shape (cells,), int32;
-            None where mesh lines do not follow the rock.
+        regions: number of the region that mesh lines have each cell in, shape (cells,), int32: of
+            a fitted mesh, or rock and air; None where no mesh lines part anything.
     """
 
     mesh: dmesh.Mesh

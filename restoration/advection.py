@@ -39,3 +39,5 @@ STEPPERS = {"euler": euler, "paper": paper, "midpoint": midpoint, "rk4": rk4}
 # Steppers that move points in one flow per step, without solving Stokes at their stages.
 FROZEN = {"euler", "paper"}
 STOKES_SOLVES = {"euler": 1, "paper": 1, "midpoint": 2, "rk4": 4}
+# Share of the step at which every stage is.
+STAGES = {"euler": (0.0,), "paper": (0.0, 0.0), "midpoint": (0.0, 0.5), "rk4": (0.0, 0.5, 0.5, 1.0)}

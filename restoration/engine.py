@@ -11,22 +11,26 @@ from dataclasses import replace
 
 import numpy as np
 
-from restoration.advection import FROZEN, STEPPERS
+from restoration.advection import FROZEN, STAGES, STEPPERS
 from restoration.errors import MeshError, SolveError
+from restoration.free_surface import FreeSurface
 from restoration.grid import Grid
 from restoration.lines import begin, points_of, refined, with_points
 from restoration.mesher import Mesher
 from restoration.particles import OUTSIDE, empty_cells, fill_cells, relocate, seed
 from restoration.plan import active
-from restoration.scene import WALLS
+from restoration.scene import WALLS, Line
 from restoration.state import State
 from restoration.stokes import Counts
+from restoration.surface import checked, heights_on, line_area, surface_of
+from restoration.surface_modes import SETTLINGS
 
 # A horizon is kept this many times finer than the mesh, see `lines.refined`.
 LINE_POINTS_PER_CELL = 4
 LINE_POINTS_PER_CELL_AT_TURNS = 32
+SURFACE_POINTS_PER_CELL = 8  # finer than the particles, which are a quarter of a square apart
 ROCK_JUMP = 0.02  # of the section, that no rock wins or loses from one fitted mesh to the next
-PARTS = ("setup", "mesh", "fields", "assemble", "solve", "advect")
+PARTS = ("setup", "mesh", "fields", "assemble", "solve", "surface", "advect")
 
 
 class StokesEngine:
@@ -44,20 +48,25 @@ class StokesEngine:
         seconds: wall time by part, s.
         grid: the `Grid` in use: one for the run where the mesh stands still.
         meshes: number of meshes so far.
+        surface: `FreeSurface`, or None.
+        surface_shift: how far the surface was moved as a whole, in all steps so far, to keep the
+            area below it what the flow through the walls makes it, m.
     """
 
     def __init__(self, scene):
         self.seconds = dict.fromkeys(PARTS, 0.0)
         self.scene, self.counts = scene, Counts()
-        with self._timed("setup"):
+        self.meshes, self.grid = 0, None
+        self.surface = FreeSurface(scene) if scene.free else None
+        self.surface_shift = 0.0
+        with self.timed("setup"):
             self.mesher = Mesher(scene)
             self.cell_size = self.mesher.finest
-            section, points = self.mesher.mesh(self._first_lines())
-            regions = None if points is None else (None, points)
-            self.grid = Grid(scene, section, self.counts, regions)
+            lines = self._first_lines()
+            section, points = self.mesher.mesh(lines)
+            self._take(section, lines, None if points is None else (None, points))
         self.start_area = self.grid.section.area
         self.fitted = scene.mesh.interfaces == "fitted"
-        self.meshes = 1
         self._steps, self._last_flow, self._rock_areas = 0, None, None
         self.born = 0
         self.empty_cells = 0
@@ -114,7 +123,40 @@ class StokesEngine:
         return State(self.scene.time.marks[0], particles, self._first_lines(), grid=self.grid)
 
     def _first_lines(self):
-        return begin(self.scene.lines, self.cell_size / LINE_POINTS_PER_CELL)
+        lines = begin(self.scene.lines, self.cell_size / LINE_POINTS_PER_CELL)
+        if not self.scene.free:
+            return lines
+        top = Line("surface", "surface", self.scene.outline.surface)
+        return lines + begin([top], self.cell_size / SURFACE_POINTS_PER_CELL)
+
+    def _take(self, section, lines, regions=None):
+        """Go on with a new mesh, which follows the surface."""
+        if self.grid is not None:
+            self.grid.stokes.release()
+        self.grid = Grid(self.scene, section, self.counts, regions)
+        self.meshes += 1
+        line = surface_of(lines)
+        if line is None:
+            return
+        if regions is not None:
+            self.grid.index.moved(self.grid.top.line)
+        elif not self.grid.follow(checked(line.points)):
+            raise MeshError(
+                "the cells below the surface lose their shape: it is too steep for columns; "
+                "raise mesh.cells"
+            )
+
+    def _stand(self, lines):
+        """Move the mesh to where the surface is, or make a new one if its cells would suffer."""
+        line = surface_of(lines)
+        if line is None or self.fitted:
+            return
+        with self.timed("surface"):
+            followed = self.grid.follow(checked(line.points))
+        if not followed:
+            with self.timed("mesh"):
+                section, _ = self.mesher.mesh(lines, self.grid, self._last_flow)
+                self._take(section, lines)
 
     def with_flow(self, state):
         """Return the state with its flow solved for, on a new mesh where one is due."""
@@ -125,19 +167,29 @@ class StokesEngine:
             particles = self._fit(particles, state.lines)
         elif refine and self._steps % refine.every == 0:
             if "velocity-gradient" in refine.where and self._last_flow is None:
-                self._last_flow = self._solve(particles)
+                self._last_flow = self._solve(particles, state.time)
             particles = self._adapt(particles, state.lines)
-        self._last_flow = self._solve(particles)
+        else:
+            particles = self._carried(particles, state.lines)
+        self._last_flow = self._solve(particles, state.time)
         return replace(state, particles=particles, flow=self._last_flow, grid=self.grid)
+
+    def _carried(self, particles, lines):
+        """Return the particles located in the mesh that follows the surface among the lines."""
+        before = self.grid
+        self._stand(lines)
+        if self.grid is not before:
+            particles = self._nowhere(particles)
+        elif self.surface is None:
+            return particles
+        return relocate(particles, self.grid.index)
 
     def _fit(self, particles, lines):
         """Make a mesh that follows the lines; return the particles located in it."""
-        with self._timed("mesh"):
+        with self.timed("mesh"):
             section, points = self.mesher.mesh(lines)
             particles = self._nowhere(particles)
-            self.grid.stokes.release()
-            self.grid = Grid(self.scene, section, self.counts, (particles, points))
-            self.meshes += 1
+            self._take(section, lines, (particles, points))
             self._guard_rocks()
             return relocate(particles, self.grid.index)
 
@@ -156,11 +208,9 @@ class StokesEngine:
 
     def _adapt(self, particles, lines):
         """Adapt the mesh; return the particles located in it."""
-        with self._timed("mesh"):
+        with self.timed("mesh"):
             section, _ = self.mesher.mesh(lines, self.grid, self._last_flow)
-            self.grid.stokes.release()
-            self.grid = Grid(self.scene, section, self.counts)
-            self.meshes += 1
+            self._take(section, lines)
             return self._settled(relocate(self._nowhere(particles), self.grid.index))
 
     @staticmethod
@@ -168,8 +218,10 @@ class StokesEngine:
         """Return the particles without cells: those of another mesh tell nothing."""
         return replace(particles, cell=np.full_like(particles.cell, OUTSIDE))
 
-    def stable_step(self, state):
-        """Return the longest step that crosses ``courant`` cells, s; positive.
+    def stable_step(self, state, mark):
+        """Return the longest step on the way to a mark, s; positive.
+
+        It crosses ``courant`` cells, and a free surface bears it.
 
         Raises:
             SolveError: the velocity is not finite.
@@ -177,64 +229,93 @@ class StokesEngine:
         fastest = state.grid.fastest(state.flow)
         if not np.isfinite(fastest):
             raise SolveError("the velocity is not finite; no time step is possible")
-        return self.scene.time.courant / fastest if fastest > 0 else np.inf
+        longest = self.scene.time.courant / fastest if fastest > 0 else np.inf
+        if self.surface:
+            with self.timed("surface"):
+                longest = min(longest, self.surface.stable_step(state.grid, state.time, mark))
+        return longest
 
     def advance(self, state, until):
         """Return the state moved to the time ``until``, s; earlier than now restores."""
-        dt = until - state.time
-        n = len(state.particles.x)
-        asked = 0
-        points = points_of(state.lines)
-        guess = np.r_[state.particles.cell, state.grid.index.guess(points)]
-
-        def velocity(x):
-            """Return velocities of particles and line points, solving Stokes for the rock at x."""
-            nonlocal asked
-            first, asked = asked == 0, asked + 1
-            frozen = first or self.scene.time.scheme in FROZEN
-            grid, flow = state.grid, state.flow
-            if not frozen and self.fitted:
-                at = replace(state.particles, x=x[:n])
-                at = self._fit(at, with_points(state.lines, x[n:]))
-                grid, flow = self.grid, self._solve(at)
-                cell, hats = grid.index.locate(x, np.r_[at.cell, grid.index.guess(x[n:])])
-            else:
-                with self._timed("advect"):
-                    cell, hats = grid.index.locate(x, guess)
-                if not frozen:
-                    at = replace(state.particles, x=x[:n], cell=cell[:n])
-                    flow = self._solve(at, hats[:n])
-            with self._timed("advect"):
-                return grid.sampler(grid.sampler.coefficients(flow.u), cell, hats)
-
-        x = STEPPERS[self.scene.time.scheme](
-            np.concatenate([state.particles.x, points]), velocity, dt
-        )
+        dt, slaving = until - state.time, self.surface and self.surface.slaving
+        if slaving and slaving.modes is None:
+            state = self._on_equilibrium(state)
+        move = _Step(self, state, dt)
+        x = STEPPERS[self.scene.time.scheme](move.start, move.velocity, dt)
         self._steps += 1
-        with self._timed("advect"):
-            x = self._on_walls(x)
-            if self.fitted:  # the mesh they will be in is yet to come
-                particles = self._nowhere(replace(state.particles, x=x[:n]))
-            else:
-                particles = self._settled(relocate(state.particles, self.grid.index, x[:n]))
+        with self.timed("advect"):
+            on_walls = self._on_walls(x[: move.points])
+            cloud, points = np.split(on_walls, [move.particles])
             lines = refined(
-                with_points(state.lines, x[n:]),
+                with_points(state.lines, points),
                 self.cell_size / LINE_POINTS_PER_CELL,
                 self.cell_size / LINE_POINTS_PER_CELL_AT_TURNS,
                 until,
                 dt,
             )
-        return State(until, particles, lines)
+        if self.surface:
+            lines = self._with_area(lines, x[-1, 0])
+        particles = replace(state.particles, x=cloud)
+        if self.fitted:  # the mesh they will be in is yet to come
+            particles = self._nowhere(particles)
+        else:
+            if self.surface:
+                particles = self._carried(particles, lines)
+            with self.timed("advect"):
+                particles = self._settled(relocate(particles, self.grid.index))
+        after = State(until, particles, lines)
+        return self._on_equilibrium(after, 1) if slaving else after
 
-    def _solve(self, particles, hats=None):
+    def _with_area(self, lines, area):
+        """Return the lines with the surface moved up or down as a whole to an area below it."""
+        surface = surface_of(lines)
+        points = checked(surface.points).copy()
+        shift = (area - line_area(points)) / np.ptp(points[:, 0])
+        self.surface_shift += abs(shift)
+        points[:, 1] += shift
+        return tuple(replace(x, points=points) if x is surface else x for x in lines)
+
+    def _on_equilibrium(self, state, settlings=SETTLINGS):
+        """Return a state with the slaved modes of its surface on their equilibrium."""
+        slaving, lines, particles = self.surface.slaving, state.lines, state.particles
+        for _ in range(settlings):
+            if self.fitted:
+                particles = self._fit(particles, lines)
+            else:
+                particles = self._carried(particles, lines)
+            flow = self._solve(particles, state.time)
+            with self.timed("surface"):
+                slaving.look(self.grid)
+                x, lift = self.grid.top.x, slaving.lift(flow)
+                surface = surface_of(lines)
+                points = surface.points + np.column_stack(
+                    [np.zeros(len(surface.points)), np.interp(surface.points[:, 0], x, lift)]
+                )
+                moved = replace(surface, points=points)
+                lines = tuple(moved if line is surface else line for line in lines)
+        slaving.settled(state.time, heights_on(surface_of(lines).points, x))
+        return self.with_flow(State(state.time, particles, lines))
+
+    def _solve(self, particles, time, hats=None, lead=0.0, before=None):
+        """Return the flow of particles in the mesh as it is.
+
+        Args:
+            particles: located `Particles`.
+            time: model time, s, of what the walls prescribe.
+            hats: of the particles, or None.
+            lead, before: see `StokesProblem.stabilise`.
+        """
         grid = self.grid
-        with self._timed("fields"):
+        with self.timed("fields"):
             if hats is None:
                 hats = grid.index.locate(particles.x, particles.cell)[1]
             grid.fill(particles, hats)
-        with self._timed("assemble"):
+        with self.timed("assemble"):
+            grid.stokes.set_time(time)
+            if self.surface:
+                grid.stokes.stabilise(lead, before)
             grid.stokes.assemble()
-        with self._timed("solve"):
+        with self.timed("solve"):
             return grid.stokes.solve()
 
     def _settled(self, particles):
@@ -272,6 +353,7 @@ class StokesEngine:
         low = np.where(held["left"], outline.surface[0, 0], -np.inf)
         high = np.where(held["right"], outline.surface[-1, 0], np.inf)
         across = np.clip(x[:, 0], low, high)
+        held["surface"] &= not self.scene.free
         bottom = np.interp(across, *outline.base.T) if held["base"] else -np.inf
         top = np.interp(across, *outline.surface.T) if held["surface"] else np.inf
         inside = np.column_stack([across, np.clip(x[:, 1], bottom, top)])
@@ -279,7 +361,86 @@ class StokesEngine:
         return inside
 
     @contextmanager
-    def _timed(self, part):
+    def timed(self, part):
         begin = time.perf_counter()
         yield
         self.seconds[part] += time.perf_counter() - begin
+
+
+class _Step:
+    """The rows that a stepper moves, and their velocity at its stages.
+
+    The rows are the particles, the points of the lines and, below a free surface, one row with the
+    area of the section, whose rate is the flux through the surface: integrated by the same stepper
+    it is kept to rounding where no wall is open.
+
+    Args:
+        engine: `StokesEngine`.
+        state: `State` with its flow.
+        dt: signed step, s.
+
+    Attributes:
+        start: the rows, shape (rows, 2).
+        particles, points: rows before the points of lines, and after them.
+    """
+
+    def __init__(self, engine, state, dt):
+        self.engine, self.state, self.dt = engine, state, dt
+        points = points_of(state.lines)
+        rows = [state.particles.x, points]
+        self.particles = len(state.particles.x)
+        self.points = self.particles + len(points)
+        surface = engine.surface
+        if surface:
+            rows.append([[line_area(surface_of(state.lines).points), 0.0]])
+        self.lead = surface.lead(dt) if surface else 0.0
+        self.start = np.concatenate(rows)
+        self._stages = iter(STAGES[engine.scene.time.scheme])
+        self._flow, self._grid = None, state.grid
+        self._guess = np.r_[state.particles.cell, state.grid.index.guess(points)]
+
+    def velocity(self, x):
+        """Return the velocity of the rows where they are, solving Stokes where the scheme asks."""
+        engine, state = self.engine, self.state
+        share, first = next(self._stages), self._flow is None
+        if first and not self.lead:
+            flow = state.flow
+        elif not first and engine.scene.time.scheme in FROZEN:
+            flow = self._flow
+        else:
+            flow = self._solved(x, state.time + share * self.dt)
+        if engine.surface and engine.surface.slaving and flow is not self._flow:
+            with engine.timed("surface"):
+                engine.surface.slaving.look(engine.grid)
+                flow = engine.surface.slaving.corrected(flow)
+        self._flow = flow
+        with engine.timed("advect"):
+            grid, rows = engine.grid, x[: self.points]
+            cell, hats = self._located(rows)
+            u = grid.sampler(grid.sampler.coefficients(flow.u), cell, hats)
+            if engine.surface:
+                u = np.vstack([u, [grid.top.flux(flow), 0.0]])
+        return u
+
+    def _solved(self, x, time):
+        engine, state = self.engine, self.state
+        at = replace(state.particles, x=x[: self.particles])
+        lines = with_points(state.lines, x[self.particles : self.points])
+        if engine.fitted:
+            at = engine._fit(at, lines)
+            cell, hats = self._located(x[: self.points])
+        else:
+            engine._stand(lines)
+            cell, hats = self._located(x[: self.points])
+            at = replace(at, cell=cell[: self.particles])
+        before = self._flow.u if self._flow is not None and self.lead else None
+        return engine._solve(at, time, hats[: self.particles], self.lead, before)
+
+    def _located(self, x):
+        grid = self.engine.grid
+        if grid is not self._grid:
+            self._grid, self._guess = grid, grid.index.guess(x)
+        with self.engine.timed("advect"):
+            cell, hats = grid.index.locate(x, self._guess)
+        self._guess = np.where(cell == OUTSIDE, self._guess, cell)
+        return cell, hats

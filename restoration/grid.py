@@ -13,6 +13,7 @@ from restoration.sampling import VelocitySampler
 from restoration.snapshot import FieldSnapshot
 from restoration.spaces import Spaces
 from restoration.stokes import StokesProblem
+from restoration.surface import Top
 from restoration.transfer import FittedFields, RockFields
 
 
@@ -28,40 +29,63 @@ class Grid:
 
     Attributes:
         section, spaces, index, fields, stokes, sampler: the parts.
-        sizes: side of the square that is split into cells of this area, shape (cells,), m.
+        top: `surface.Top` of a free surface, else None.
     """
 
     def __init__(self, scene, section, counts=None, regions=None):
         pair = ELEMENTS[scene.mesh.element]
         section = barycentric_mesh(section) if pair.split else section
-        self.section, self.eta0 = section, float(scene.unit_viscosity.min())
+        air = scene.air
+        lowest = min(scene.unit_viscosity.min(), air.viscosity if air else np.inf)
+        self.section, self.eta0 = section, float(lowest)
         self.spaces = Spaces(section, scene.mesh.element)
         self.index = CellIndex(section)
         density, viscosity = scene.unit_density, scene.unit_viscosity / self.eta0
         if regions is None:
-            self.fields = RockFields(self.spaces, self.index, density, viscosity, scene.transfer)
+            self.fields = RockFields(
+                self.spaces,
+                self.index,
+                density,
+                viscosity,
+                scene.transfer,
+                air and (air.density, air.viscosity / self.eta0),
+            )
         else:
             unit = units_of_regions(section, self.index, *regions, scene)
             self.fields = FittedFields(self.spaces, density, viscosity, unit[section.regions])
+        self.top = None
+        if scene.free:
+            motion = scene.surface.motion
+            self.top = Top(section, self.spaces, self.index, motion, air is not None)
         self.stokes = StokesProblem(
             section,
             self.spaces,
-            self.fields.rho,
+            self.fields.density,
             self.fields.eta,
             self.eta0,
             scene.walls,
             scene.gravity,
             scene.closed,
-            scene.one_viscosity,
+            scene.one_viscosity and not scene.free,
             scene.solver,
             counts,
+            self.top,
         )
         self.sampler = VelocitySampler(self.spaces)
-        triangles = {"triangle": 4, "quadrilateral": 1}[section.cell] * (3 if pair.split else 1)
-        self.sizes = np.sqrt(triangles * self.index.area)
+        self._share = {"triangle": 4, "quadrilateral": 1}[section.cell] * (3 if pair.split else 1)
         self._u = fem.Function(self.spaces.V)
         self._squared = fem.form(ufl.inner(self._u, self._u) * self.spaces.dx)
         self._snapshot = None
+
+    @property
+    def sizes(self):
+        """Side of the square that is split into cells of this area, shape (cells,), m."""
+        return np.sqrt(self._share * self.index.area)
+
+    def follow(self, points):
+        """Move the mesh after a surface line; return whether its cells have kept their shape."""
+        self._snapshot = None
+        return self.top.follow(points)
 
     def fill(self, particles, hats):
         """Fill the fields from particles; those of a fitted mesh stand.
@@ -84,8 +108,10 @@ class Grid:
 
     def fastest(self, flow):
         """Return the greatest number of cells that the flow crosses in a time, 1/s."""
-        speed = np.linalg.norm(flow.u, axis=1)[self.spaces.v_nodes].max(axis=1)
-        return float((speed / self.sizes).max())
+        speed = np.linalg.norm(flow.u, axis=1)[self.spaces.v_nodes].max(axis=1) / self.sizes
+        if self.top is not None and isinstance(self.fields, RockFields):
+            speed = speed[~self.fields.in_air]
+        return float(speed.max())
 
     @property
     def snapshot(self):

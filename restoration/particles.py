@@ -61,14 +61,24 @@ class CellIndex:
         corners: corner coordinates of every cell, shape (cells, k, 2), m; k is 3 or 4.
         neighbours: cell across every facet, shape (cells, k); -1 on a wall.
         area: of every cell, shape (cells,), m^2.
+        lid: nodes of the mesh along a free surface, shape (m, 2), m; None where there is none. A
+            point above belongs to the rock right below: the mesh is straight between its nodes,
+            the surface is not.
     """
 
     def __init__(self, section):
         self._walk = {"triangle": _walk, "quadrilateral": _walk_squares}[section.cell]
-        self.corners = np.ascontiguousarray(section.corners)
+        self._section = section
         self.neighbours = np.ascontiguousarray(section.neighbours)
-        self.area = section.areas
+        self.lid = None
+        self.moved()
+
+    def moved(self, lid=None):
+        """Take the nodes of the mesh from where they are now; ``lid`` as above."""
+        self.corners = np.ascontiguousarray(self._section.corners)
+        self.area = self._section.areas
         self._tree = cKDTree(self.corners.mean(axis=1))
+        self.lid = lid
 
     def guess(self, x):
         """Return the cell with the nearest centre for every point, shape (n,), int32."""
@@ -84,6 +94,9 @@ class CellIndex:
         Returns:
             cell (n,) int32, OUTSIDE where the point is in no cell, and hats (n, k).
         """
+        if self.lid is not None:
+            top = np.interp(x[:, 0], *self.lid.T) - ON_FACET * np.ptp(self.corners[..., 1])
+            x = np.column_stack([x[:, 0], np.minimum(x[:, 1], top)])
         start = np.array(guess, dtype=np.int32)
         unknown = np.flatnonzero(start < 0)
         if unknown.size:

@@ -42,7 +42,7 @@ def march(state, engine, plan, every_step=(), at_marks=()):
 
     Args:
         state: `State` at the first mark.
-        engine: offers ``with_flow(state)``, ``stable_step(state)`` and ``advance(state, until)``.
+        engine: offers ``with_flow(state)``, ``stable_step(state, mark)`` and ``advance(state, until)``.
         plan: `scene.TimePlan`.
         every_step: functions of the state before and after a step.
         at_marks: functions of the number of the mark and the state there, from the first mark on.
@@ -57,7 +57,7 @@ def march(state, engine, plan, every_step=(), at_marks=()):
         longest = abs(mark - state.time) / plan.min_steps
         while state.time != mark:
             before = state
-            until = next_time(state.time, mark, min(engine.stable_step(state), longest))
+            until = next_time(state.time, mark, min(engine.stable_step(state, mark), longest))
             state = engine.with_flow(engine.advance(state, until))
             for task in every_step:
                 task(before, state)

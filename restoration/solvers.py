@@ -85,15 +85,17 @@ class DirectSolver:
     """Factorises by MUMPS, and keeps the factors until the values of the matrix change.
 
     Args:
-        A: symmetric matrix, assembled by `update`.
+        A: matrix, assembled by `update`.
         options: PETSc options that replace those of `DIRECT`, names without prefix.
+        symmetric: whether the matrix is, so that LDL^T will do.
 
     Attributes:
         factorisations, iterations, vcycles: so far; a direct solve is one iteration.
     """
 
-    def __init__(self, A, options=None):
-        self.A, self.options = A, DIRECT | (options or {})
+    def __init__(self, A, options=None, symmetric=True):
+        self.A, self.symmetric = A, symmetric
+        self.options = DIRECT | ({} if symmetric else {"pc_type": "lu"}) | (options or {})
         unknowns = A.getSize()[0]
         ordering = max(size for size in ORDERING if size <= unknowns)
         self.options.setdefault("mat_mumps_icntl_7", ORDERING[ordering])
@@ -146,7 +148,7 @@ class DirectSolver:
 
     def _make(self):
         self.release()
-        self.A.setOption(PETSc.Mat.Option.SYMMETRIC, True)
+        self.A.setOption(PETSc.Mat.Option.SYMMETRIC, self.symmetric)
         options = {"mat_mumps_icntl_14": WORKSPACE[self._workspace]} | self.options
         self.ksp = _new_ksp(self.A.comm, PREFIX, options)
         self.ksp.setOperators(self.A)

@@ -13,6 +13,7 @@ from dolfinx import fem
 from scipy.sparse import csr_matrix
 
 from forms.rheology import VISCOSITY_OF_MEAN
+from meshes.box import AIR
 from restoration.particles import OUTSIDE
 from restoration.spaces import nodes
 
@@ -44,13 +45,16 @@ class RockFields:
         density: of every unit, shape (units,), kg/m^3.
         viscosity: of every unit over the reference viscosity, shape (units,).
         transfer: `scene.Transfer`.
+        air: (density, viscosity over the reference) of the cells of the region `AIR`, which hold no
+            particles; None where there is no air.
 
     Attributes:
-        rho: density, a Function, kg/m^3.
+        rho: density, a Function, kg/m^3; in the air that of the rock goes on.
+        density: with that of the air, a UFL expression, kg/m^3.
         eta: viscosity over the reference, a UFL expression.
     """
 
-    def __init__(self, spaces, index, density, viscosity, transfer):
+    def __init__(self, spaces, index, density, viscosity, transfer, air=None):
         self.spaces, self.index, self.transfer = spaces, index, transfer
         self._density = np.asarray(density, float)
         self._mean = AVERAGED[transfer.mean](np.asarray(viscosity, float))
@@ -60,7 +64,15 @@ class RockFields:
             space["linear"] = fem.FunctionSpace(spaces.section.mesh, (family, 1))
         self.rho = fem.Function(space[transfer.density], name="density")
         self.theta = fem.Function(space[transfer.viscosity], name="theta")
-        self.eta = VISCOSITY_OF_MEAN[transfer.mean](self.theta)
+        self.density, self.eta = self.rho, VISCOSITY_OF_MEAN[transfer.mean](self.theta)
+        self._air = air
+        self.in_air = np.zeros(len(spaces.h_nodes), bool)
+        if air:
+            self.in_air = spaces.section.regions == AIR
+            above = fem.Function(spaces.D)
+            above.x.array[:] = self.in_air
+            self.density = (1 - above) * self.rho + above * air[0]
+            self.eta = (1 - above) * self.eta + above * air[1]
         cell = getattr(basix.CellType, spaces.section.cell)
         points, _ = basix.make_quadrature(cell, spaces.degree)
         hats = basix.create_element(basix.ElementFamily.P, cell, 1).tabulate(0, points)
@@ -82,6 +94,8 @@ class RockFields:
         hats = self.hat_means(np.stack([self._density, self._mean], 1), cell, weights, unit, area)
         # Inside a step, before particles can be born there, such a vertex keeps what it had.
         hats = np.where(np.isnan(hats), self._hats, hats)
+        if self._air:  # high in the air no particle is near
+            hats = np.where(np.isnan(hats), [self._density[0], self._mean[0]], hats)
         self._hats = hats
         cloud = x, cell, weights, unit, area
         self.rho.x.array[:] = self._values(self.transfer.density, 0, hats, *cloud)
@@ -89,11 +103,13 @@ class RockFields:
 
     def density_means(self):
         """Return the mean density of every cell, shape (cells,), kg/m^3."""
-        return cell_means(self.rho)
+        means = cell_means(self.rho)
+        return np.where(self.in_air, self._air[0], means) if self._air else means
 
     def viscosity_means(self):
         """Return the mean viscosity of every cell over the reference, shape (cells,)."""
-        return MEAN_OF_AVERAGED[self.transfer.mean](cell_means(self.theta))
+        means = MEAN_OF_AVERAGED[self.transfer.mean](cell_means(self.theta))
+        return np.where(self.in_air, self._air[1], means) if self._air else means
 
     def hat_means(self, table, cell, weights, unit, area):
         """Return the hat-weighted means at the vertices, shape (vertices, properties).
@@ -143,12 +159,12 @@ class FittedFields:
         unit: of every cell, shape (cells,).
 
     Attributes:
-        rho, eta: as in `RockFields`.
+        rho, density, eta: as in `RockFields`.
     """
 
     def __init__(self, spaces, density, viscosity, unit):
         self.unit = unit
-        self.rho = fem.Function(spaces.D, name="density")
+        self.rho = self.density = fem.Function(spaces.D, name="density")
         self.eta = fem.Function(spaces.D, name="viscosity")
         self.rho.x.array[:] = np.asarray(density, float)[unit]
         self.eta.x.array[:] = np.asarray(viscosity, float)[unit]

@@ -9,7 +9,7 @@ import pytest
 ROOT = Path(__file__).parents[1]
 
 ORDER = {
-    "forms": ["elements", "rheology", "stokes"],
+    "forms": ["elements", "rheology", "stokes", "surface", "mesh_motion"],
     "meshes": ["data", "box", "arrays", "split", "refine", "noding", "curves", "section"],
     "restoration": [
         "errors",
@@ -51,8 +51,11 @@ ORDER = {
         "solvers",
         "stokes",
         "snapshot",
+        "surface",
         "grid",
         "mesher",
+        "surface_modes",
+        "free_surface",
         "state",
         "engine",
         "diagnostics",

@@ -34,7 +34,7 @@ def test_speeds_of_a_linear_flow_are_exact(engine):
 def test_a_stable_step_crosses_courant_squares_of_the_mesh(engine):
     flow = flow_of(engine, lambda x, z: (3e-9, -4e-9))
     square = np.sqrt(WIDTH / 12 * HEIGHT / 13)
-    step = engine.stable_step(State(0.0, None, (), flow, engine.grid))
+    step = engine.stable_step(State(0.0, None, (), flow, engine.grid), 1.0)
     assert step == pytest.approx(0.25 * square / 5e-9)
 
 

@@ -31,7 +31,7 @@ class FakeEngine:
     def with_flow(self, state):
         return state
 
-    def stable_step(self, state):
+    def stable_step(self, state, mark):
         return self.stable
 
     def advance(self, state, until):

@@ -1,0 +1,86 @@
+"""How a free surface is carried through time: which steps it bears, and what backward."""
+
+from itertools import pairwise
+
+import numpy as np
+
+from restoration.surface_modes import CUT, INTEGRABLE, Slaving, SurfaceResponse
+
+# Step times rate up to which the explicit schemes keep a relaxing surface from growing.
+STABLE = {"euler": 2.0, "paper": 2.0, "midpoint": 2.0, "rk4": 2.785}
+
+
+class FreeSurface:
+    """Decides for every leg of a march how the surface is carried.
+
+    Args:
+        scene: `scene.Scene` with a free surface.
+
+    Attributes:
+        gamma: fastest rate of the surface seen so far, 1/s; 0 before it was looked at.
+        slaving: `Slaving` of the leg, or None where the surface is integrated.
+        growth: gamma T of the leg, T the time to restore; None forward.
+    """
+
+    def __init__(self, scene):
+        self.plan, self.scheme = scene.surface, scene.time.scheme
+        self.marks = scene.time.marks
+        self.gamma, self.slaving, self.growth = 0.0, None, None
+        self._leg = self._response = self._mode = None
+
+    def stable_step(self, grid, time, mark):
+        """Return the longest step that the surface bears on the way to a mark, s.
+
+        The flow at ``time`` was the last one solved for. Begins the leg where it is new.
+        """
+        theta, most, backward = self.plan.theta, STABLE[self.scheme], mark < time
+        if not backward and theta >= 0.5:
+            self._begin(time, mark, 0.0)
+            return np.inf
+        if self._response is None or self._response.grid is not grid:
+            self._response = SurfaceResponse(grid)
+        rate, self._mode = self._response.fastest(self._mode)
+        self.gamma = max(self.gamma, rate)
+        self._begin(time, mark, rate)
+        if rate == 0:
+            return np.inf
+        if not backward:
+            longest = most / max(1 - theta * most, 1e-9)
+        elif self.plan.reverse == "stabilise":
+            return np.inf
+        else:
+            longest = min(most, 1 / theta) if theta else most
+            rate = min(rate, self.slaving.cut) if self.slaving else rate
+        return self.plan.limit * longest / rate
+
+    def lead(self, dt):
+        """Return how far ahead the weight of the moved surface is to count, s; see `stabilise`."""
+        if dt < 0 and self.plan.reverse == "stabilise":
+            return (self.plan.theta or 1.0) * -dt
+        return self.plan.theta * dt
+
+    def _begin(self, time, mark, rate):
+        if self._leg == mark:
+            return
+        self._leg, self.slaving, self.growth = mark, None, None
+        if mark > time:
+            return
+        span = time_to_restore(self.marks, mark)
+        self.growth = rate * span
+        wanted = self.plan.reverse
+        if wanted == "slave" or (wanted == "auto" and self.growth > INTEGRABLE):
+            self.slaving = Slaving(CUT / span)
+
+
+def time_to_restore(marks, mark):
+    """Return the time of the march backward that passes or ends at a mark, s; 0 if none does."""
+    runs, longest = [[marks[0]]], 0.0
+    for before, after in pairwise(marks):
+        if after < before:
+            runs[-1].append(after)
+        else:
+            runs.append([after])
+    for run in runs:
+        if mark in run[1:]:
+            longest = max(longest, run[0] - run[-1])
+    return longest

@@ -1,0 +1,218 @@
+"""A free surface: a line of its own that moves with the rock, and a mesh that follows it."""
+
+import numpy as np
+import shapely
+import ufl
+from dolfinx import fem
+from dolfinx import mesh as dmesh
+from scipy.linalg import solveh_banded
+from scipy.sparse import csr_matrix
+from scipy.sparse.linalg import splu
+
+from forms.mesh_motion import spread_form
+from meshes.box import AIR
+from restoration.errors import MeshError
+from restoration.units import show
+
+GROUND = 9  # tag of the inner facets between rock and air
+# A mesh is made anew where a cell has lost more than this part of its shape.
+WORST_SHAPE = 0.3
+
+
+def surface_of(lines):
+    """Return the surface among moving lines, or None."""
+    return next((line for line in lines if line.kind == "surface"), None)
+
+
+def line_area(points):
+    """Return the area between a line and z = 0, m^2."""
+    return float(np.trapz(points[:, 1], points[:, 0]))
+
+
+def checked(points):
+    """Return the points of a surface line.
+
+    Raises:
+        MeshError: it overhangs.
+    """
+    step = np.diff(points[:, 0])
+    if not (step > 0).all():
+        at = points[int(np.argmin(step))]
+        raise MeshError(
+            f"the surface overhangs at x = {show(float(at[0]), 'length')}, "
+            f"z = {show(float(at[1]), 'length')}; no mesh with vertical columns follows it"
+        )
+    return points
+
+
+def heights_on(points, x):
+    """Return the heights at ``x`` of the polyline with the least distance to a surface line.
+
+    It is the projection onto hat functions, so that the area below is that below the line.
+
+    Args:
+        points: surface line, shape (n, 2), m, x ascending; beyond its ends it goes on level.
+        x: ascending, shape (m,), m.
+    """
+    at = np.unique(np.concatenate([x, points[(points[:, 0] > x[0]) & (points[:, 0] < x[-1]), 0]]))
+    z = np.interp(at, *points.T)
+    length = np.diff(at)
+    cell = np.searchsorted(x, (at[1:] + at[:-1]) / 2) - 1
+    width = np.diff(x)
+    load = np.zeros(len(x))
+    for end in (0, 1):
+        first, last = (
+            1 - end - (1 - 2 * end) * (side - x[cell]) / width[cell] for side in (at[:-1], at[1:])
+        )
+        part = (2 * z[:-1] * first + z[:-1] * last + z[1:] * first + 2 * z[1:] * last) * length / 6
+        np.add.at(load, cell + end, part)
+    mass = np.zeros((2, len(x)))
+    mass[0, 1:] = width / 6
+    mass[1, :-1] += width / 3
+    mass[1, 1:] += width / 3
+    return solveh_banded(mass, load)
+
+
+class Top:
+    """The nodes of a mesh along its free surface, and all nodes that give way to them.
+
+    The mesh is a function of the surface line alone: the nodes of the mesh as it was made, moved
+    by the harmonic extension of what the top nodes are away from there. So it forgets no step and
+    remembers none, and it is as smooth in time as the line.
+
+    Args:
+        section: `meshes.data.SectionMesh`, with regions where there is air.
+        spaces: `Spaces` of it.
+        index: `CellIndex` of it.
+        motion: of the top nodes, ``vertical`` or ``normal``.
+        air: whether the regions of the mesh tell rock from air.
+
+    Attributes:
+        x: of the top nodes, ascending, shape (m,), m.
+        dofs: of `Spaces.H` at the top nodes, shape (m,).
+    """
+
+    def __init__(self, section, spaces, index, motion="vertical", air=False):
+        self.section, self.spaces, self.index, self.motion = section, spaces, index, motion
+        self._air = air
+        mesh, hats = section.mesh, spaces.H
+        facets = _ground(section) if air else section.facet_tags.find(section.wall_tags["surface"])
+        if air:
+            tags = dmesh.meshtags(mesh, 1, facets, np.full(len(facets), GROUND, np.int32))
+            metadata = {"quadrature_degree": spaces.degree}
+            self._measure = ufl.Measure("dS", mesh, subdomain_data=tags, metadata=metadata)(GROUND)
+            self.rock = fem.Function(spaces.D)
+            self.rock.x.array[:] = section.regions != AIR
+        else:
+            self._measure = spaces.ds(section.wall_tags["surface"])
+            self.rock = fem.Constant(mesh, 1.0)
+        self.n = ufl.FacetNormal(mesh)
+        self._geometry = np.empty(int(spaces.h_nodes.max()) + 1, np.int64)
+        self._geometry[spaces.h_nodes] = section.corner_vertices
+        self._made = mesh.geometry.x[self._geometry, :2].copy()
+        dofs = fem.locate_dofs_topological(hats, 1, facets)
+        self.dofs = dofs[np.argsort(self._made[dofs, 0])]
+        self._corners = spaces.h_nodes[:, [0, 1, 3, 2] if section.cell == "quadrilateral" else ...]
+        self._shape = _shape(self._made[self._corners])
+        self._spread = self._extensions()
+        self._u = fem.Function(spaces.V)
+        self._flux = fem.form(self.over(self.rock * ufl.dot(self._u, self.n)))
+
+    @property
+    def x(self):
+        """Positions of the top nodes, ascending, m."""
+        return self.section.mesh.geometry.x[self._geometry[self.dofs], 0]
+
+    @property
+    def line(self):
+        """The top nodes from left to right, shape (m, 2), m."""
+        return self.section.mesh.geometry.x[self._geometry[self.dofs], :2].copy()
+
+    def over(self, integrand):
+        """Return the integral over the surface, from both sides of it where air is meshed too."""
+        if not self._air:
+            return integrand * self._measure
+        return (integrand("+") + integrand("-")) * self._measure
+
+    def flux(self, flow):
+        """Return the area that the section gains through its surface in a time, m^2/s."""
+        self._u.x.array[:] = flow.u.ravel()
+        return float(fem.assemble_scalar(self._flux))
+
+    def follow(self, points):
+        """Move the mesh so that it follows a surface line.
+
+        Args:
+            points: shape (n, 2), m, x ascending.
+
+        Returns:
+            Whether all cells have kept their shape; if not, the mesh must not be solved on.
+        """
+        made = self._made[self.dofs]
+        goal = made.copy()
+        if self.motion == "vertical":
+            goal[:, 1] = heights_on(points, made[:, 0])
+        else:
+            line = shapely.LineString(points)
+            near = shapely.line_interpolate_point(
+                line, shapely.line_locate_point(line, shapely.points(made))
+            )
+            goal[1:-1] = shapely.get_coordinates(near)[1:-1]
+            goal[[0, -1], 1] = np.interp(made[[0, -1], 0], *points.T)
+        moved = self._made.copy()
+        for axis, (solve, free, held) in self._spread.items():
+            push = np.zeros(len(moved))
+            push[self.dofs] = goal[:, axis] - made[:, axis]
+            push[free] = solve(-held @ push)
+            moved[:, axis] += push
+        kept = _shape(moved[self._corners]) / self._shape
+        if not kept.min() > WORST_SHAPE:
+            return False
+        self.section.mesh.geometry.x[self._geometry, :2] = moved
+        self.index.moved(goal)
+        return True
+
+    def _extensions(self):
+        """Return, by axis, the solver of the nodes that give way, their rows, and what holds."""
+        spaces, section = self.spaces, self.section
+        d, w = ufl.TrialFunction(spaces.H), ufl.TestFunction(spaces.H)
+        form = fem.form(spread_form(d, w, section.mesh, spaces.dx))
+        assembled = fem.petsc.assemble_matrix(form)
+        assembled.assemble()
+        stiffness = csr_matrix(assembled.getValuesCSR()[::-1], shape=assembled.getSize())
+        assembled.destroy()
+        walls = {1: ("base", "surface"), 0: ("base", "surface", "left", "right")}
+        axes = (1,) if self.motion == "vertical" else (1, 0)
+        found = {}
+        for axis in axes:
+            free = np.ones(stiffness.shape[0], bool)
+            free[self.dofs] = False
+            for name in walls[axis]:
+                facets = section.facet_tags.find(section.wall_tags[name])
+                free[fem.locate_dofs_topological(spaces.H, 1, facets)] = False
+            rows = np.flatnonzero(free)
+            factors = splu(stiffness[rows][:, rows].tocsc())
+            held = stiffness[rows].copy()
+            found[axis] = factors.solve, rows, held
+        return found
+
+
+def _ground(section):
+    """Return the facets between rock and air, sorted."""
+    topology = section.mesh.topology
+    topology.create_connectivity(1, 2)
+    cells = topology.connectivity(1, 2)
+    pair = cells.array[cells.offsets[:-1]], cells.array[cells.offsets[1:] - 1]
+    air = section.regions == AIR
+    return np.flatnonzero(air[pair[0]] != air[pair[1]]).astype(np.int32)
+
+
+def _shape(corners):
+    """Return the shape of cells, shape (cells,): signed area over the sum of squared edges.
+
+    Of a quadrilateral the worst of the triangles at its corners counts.
+    """
+    after, before = np.roll(corners, -1, axis=1) - corners, np.roll(corners, 1, axis=1) - corners
+    twice = after[..., 0] * before[..., 1] - after[..., 1] * before[..., 0]
+    squares = (after**2).sum(axis=(1, 2))
+    return twice[np.arange(len(twice)), np.abs(twice).argmin(axis=1)] / squares
