@@ -44,6 +44,7 @@ ORDER = {
         "layered",
         "spaces",
         "particles",
+        "inflow",
         "transfer",
         "sampling",
         "boundary",
