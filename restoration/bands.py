@@ -13,8 +13,10 @@ from restoration.lines import spaced
 
 EXTENSION = 6.0  # widths by which a line that ends at a wall goes on beyond it
 MITRE = 2.0  # half widths to which a band goes at sharp bends
-NEAR = 0.2  # of the edges of a band: what is nearer to it becomes one with it
+EDGE = 0.4  # widths: the most that an edge of a cell along a band may be
+NEAR = 0.2  # of that: what is nearer to a band becomes one with it
 RAY = 4.0  # times that: how far a line that was cut short looks for the band ahead
+CORNER = np.radians(30)  # sharper turns of the edge of a band are corners
 
 
 def section_of(outline):
@@ -44,9 +46,7 @@ def rings(area):
     """Return the closed outlines of polygons, outer and inner, a list of arrays (n, 2), m."""
     parts = [part for part in shapely.get_parts(area) if part.geom_type == "Polygon"]
     return [
-        shapely.get_coordinates(ring)
-        for part in parts
-        for ring in (part.exterior, *part.interiors)
+        shapely.get_coordinates(ring) for part in parts for ring in (part.exterior, *part.interiors)
     ]
 
 
@@ -59,7 +59,7 @@ def areas(lines):
             before = found.get(line.name)
             # an inner ring takes away what the outer one holds
             found[line.name] = ring if before is None else before.symmetric_difference(ring)
-    return found
+    return {name: area for name, area in found.items() if area.area > 0}
 
 
 def distance_to(area, spacing):
@@ -89,54 +89,72 @@ def mesh_lines(lines, bands, section, near):
         near: edge length wanted on lines, m.
 
     Returns:
-        List of (points, edge length): that of a band is at most half its width, m.
+        List of (points, edge length): that of a band is at most `EDGE` of its width, m.
     """
     found, above, around = [], shapely.Polygon(), shapely.Polygon()
-    reach = 0.0
+    reach, target = 0.0, None
     for area, width in reversed(bands):
-        size = min(near, width / 2)
-        reach = max(reach, NEAR * size)
-        frame = section.exterior.buffer(NEAR * size)
+        size = min(near, EDGE * width)
+        frame = section.exterior.buffer(NEAR * size), _Target(section, NEAR * size)
         for ring in rings(area):
-            for edge in _cut(ring, frame, section.exterior, NEAR * size):
-                pieces = _cut(edge, around, above.boundary, reach)
-                found += [(piece, size) for piece in pieces]
-        above = above.union(area)
+            for edge in _cut(ring, *frame):
+                found += [(piece, size) for piece in _cut(edge, around, target)]
+        reach, above = max(reach, NEAR * size), above.union(area)
         around = around.union(area.buffer(NEAR * size, join_style="mitre", mitre_limit=MITRE))
+        target = _Target(above, reach)
     for line in lines:
-        found += [(piece, near) for piece in _cut(line, around, above.boundary, reach)]
+        found += [(piece, near) for piece in _cut(line, around, target)]
     return found
 
 
-def _cut(points, mask, target, reach):
+class _Target:
+    """The edge of polygons, where lines end that are cut within ``reach`` of it, m."""
+
+    def __init__(self, area, reach):
+        self.line, self.reach = area.boundary, reach
+        turns = []
+        for ring in rings(area):
+            step = np.diff(ring, axis=0)
+            before = np.roll(step, 1, axis=0)
+            cross = before[:, 0] * step[:, 1] - before[:, 1] * step[:, 0]
+            turn = np.abs(np.arctan2(cross, (before * step).sum(axis=1)))
+            turns.append(ring[:-1][turn > CORNER])
+        self.corners = shapely.MultiPoint(np.vstack([*turns, np.empty((0, 2))]))
+
+    def end(self, segment):
+        """Return where a line that ends with a segment goes: ahead or beside it, or to a corner."""
+        step = segment[1] - segment[0]
+        step *= RAY * self.reach / (np.hypot(*step) or 1.0)
+        hit = shapely.LineString([segment[1], segment[1] + step]).intersection(self.line)
+        end = _nearest(self.line if hit.is_empty else hit, shapely.Point(segment[1]))
+        if self.corners.is_empty or self.corners.distance(end) > self.reach:
+            return shapely.get_coordinates(end)
+        return shapely.get_coordinates(_nearest(self.corners, end))
+
+
+def _nearest(shape, point):
+    """Return the point of a shape that is nearest to another."""
+    return shapely.get_point(shapely.shortest_line(shape, point), 0)
+
+
+def _cut(points, mask, target):
     """Return the pieces of a line outside of a mask; where they are cut they go on to the target.
 
     Args:
         points: shape (n, 2), m.
         mask: polygon around the target.
-        target: line that cut pieces end on.
-        reach: distance of the edge of the mask from the target, m.
+        target: `_Target` of it.
     """
     line = shapely.LineString(points)
     if not line.intersects(mask):
         return [points]
-    ends, pieces = points[[0, -1]], []
+    ends, pieces, reach = points[[0, -1]], [], target.reach
     parts = shapely.get_parts(shapely.line_merge(line.difference(mask)))
     for piece in parts[shapely.length(parts) > reach]:
         piece = shapely.get_coordinates(piece)
         for _ in range(2):
             if np.abs(piece[-1] - ends).max(axis=1).min() > 1e-6 * reach:
-                piece = np.vstack([piece, _ahead(piece[-2:], target, reach)])
+                piece = np.vstack([piece, target.end(piece[-2:])])
             piece = piece[::-1]
         pieces.append(piece)
     return pieces
-
-
-def _ahead(segment, target, reach):
-    """Return where a line that ends with a segment meets the target: ahead, else beside it."""
-    end = shapely.Point(segment[1])
-    step = segment[1] - segment[0]
-    step *= RAY * reach / (np.hypot(*step) or 1.0)
-    ray = shapely.LineString([segment[1], segment[1] + step])
-    hit = ray.intersection(target)
-    return shapely.get_coordinates(shapely.shortest_line(target if hit.is_empty else hit, end))[0]

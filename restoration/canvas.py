@@ -187,9 +187,9 @@ def legend_handles(panels):
         Patch(facecolor=unit.color, edgecolor=INK, linewidth=0.6, label=unit_label(scene, unit))
         for unit in reversed(scene.units)
     ]
-    kinds = {line.kind for panel in panels for line in panel.lines}
+    kinds = {line.kind for panel in panels for line in panel.lines} - {"edge"}
     return handles + [
-        Line2D([], [], label=kind, **LINE_STYLES[kind]) for kind in LINE_STYLES if kind in kinds - {"edge"}
+        Line2D([], [], label=kind, **LINE_STYLES[kind]) for kind in LINE_STYLES if kind in kinds
     ]
 
 

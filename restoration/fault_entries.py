@@ -89,6 +89,8 @@ def _wrong_ways(tree, i, fault):
     at, ways = ("faults", i), [way for way in WAYS if fault.get(way) is not None]
     if len(ways) > 1:
         return [tree.fault(at, f"{listed(ways, last='and')} are given; a fault lies in one way")]
+    if not ways and set(fault) - set(FaultEntry.model_fields):
+        return []  # misspelt, which is told already
     if not ways:
         ask = "give dip and at, or points, or the name of a line of the section file"
         return [tree.fault(at, f"nothing says where the fault is; {ask}")]

@@ -8,11 +8,13 @@ import shapely
 from restoration.bands import rings, section_of, widened
 from restoration.errors import CaseError
 from restoration.scene import Fault, Line
-from restoration.units import show
+from restoration.units import number, show
 from restoration.words import hint, listed, quoted
 
 SLACK = 1e-6  # of the height: what is less out of the section is in it
 ARC = np.radians(2)  # between the vertices of a fault that flattens
+CELLS_ALONG = 60  # of a fitted mesh, along a width of a band and beside it
+MOST_CELLS = 1_000_000  # as `resolve` has it
 MOST_LEVELS = 8  # of a mesh that is refined
 LEAST = 1e-9  # of the section, that a band has to cover
 
@@ -39,7 +41,8 @@ def with_faults(case, shape, outline, tree):
     for i, (name, entry) in enumerate(zip(names, case.faults, strict=True)):
         try:
             if name in shape.names or name in names[:i]:
-                raise _Wrong("name", f"{quoted(name)} is the name of a unit already; give it another")
+                message = f"{quoted(name)} is the name of a unit already; give it another"
+                raise _Wrong("name", message)
             drawn = [line.points for line in shape.lines if line.kind == "fault"]
             known = [line.name for line in shape.lines if line.kind == "fault"]
             centres, band = _band(entry, outline, dict(_grouped(known, drawn)))
@@ -82,7 +85,7 @@ class _Wrong(ValueError):
         self.entry = (entry,) if entry else ()
 
 
-def thin(faults, cells, outline, plan):
+def slim_notes(faults, cells, outline, plan):
     """Return a note on faults that are thinner than the cells of a mesh that does not follow them.
 
     Args:
@@ -109,6 +112,27 @@ def thin(faults, cells, outline, plan):
         f"{show(least, 'length')} wide where the finest cells are {show(cell, 'length')}, so that "
         f"the flow sees a broader and stronger band; {more}, or write mesh.interfaces: fitted"
     ]
+
+
+def too_thin(faults, lines, tree):
+    """Return the faults of bands along which a fitted mesh would have cells without end.
+
+    Args:
+        faults: `scene.Fault`s.
+        lines: `scene.Line`s.
+        tree: knows the place of every entry.
+    """
+    found = []
+    for i, fault in enumerate(faults):
+        edges = [line for line in lines if (line.name, line.kind) == (fault.name, "edge")]
+        length = sum(np.hypot(*np.diff(line.points, axis=0).T).sum() for line in edges) / 2
+        cells = CELLS_ALONG * length / fault.width
+        if cells > MOST_CELLS:
+            message = f"{show(fault.width, 'length')} takes about {number(cells, 2)} cells along "
+            message += f"{show(length, 'length')}; at most {MOST_CELLS} are possible: take "
+            message += f"{show(CELLS_ALONG * length / MOST_CELLS, 'length', 2)} or more"
+            found.append(tree.fault(("faults", i, "width"), message))
+    return found
 
 
 def _names(entries):

@@ -4,6 +4,7 @@ import numpy as np
 import ufl
 from dolfinx import fem
 from scipy.spatial import cKDTree
+from shapely.errors import ShapelyError
 
 from forms.elements import ELEMENTS
 from meshes.box import section_mesh
@@ -111,11 +112,11 @@ class Mesher:
         share = 0.85
         near = share * (self.finest if where else self.coarsest)
         bands = [(area, self._widths[name]) for name, area in areas(lines).items()]
-        pieces = mesh_lines(follow, bands, section_of(outline), near)
-        follow, near = [points for points, _ in pieces], [size for _, size in pieces]
         try:
+            pieces = mesh_lines(follow, bands, section_of(outline), near)
+            follow, near = [points for points, _ in pieces], [size for _, size in pieces]
             return fitted_mesh(outline.surface, outline.base, follow, share * self.coarsest, near)
-        except MeshingError as error:
+        except (MeshingError, ShapelyError) as error:
             raise MeshError(
                 f"no mesh follows the horizons any more: {error}; let particles carry the rock "
                 "(mesh.interfaces: particles)"

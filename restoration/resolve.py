@@ -17,7 +17,7 @@ from restoration.entries import (
 )
 from restoration.errors import CaseError
 from restoration.fault_entries import FaultEntry
-from restoration.faults import thin, with_faults
+from restoration.faults import slim_notes, too_thin, with_faults
 from restoration.palette import unit_colors
 from restoration.scene import (
     WALLS,
@@ -102,9 +102,11 @@ def load(path, overrides=(), allow_outside=False):
     if faults:
         raise CaseError(faults)
     shape, bands = with_faults(case, shape, outline, tree)
+    if case.mesh.interfaces == "fitted" and (thin := too_thin(bands, shape.lines, tree)):
+        raise CaseError(thin)
     notes = (*shape.notes, *cut)
     scene = _scene(case, shape, outline, walls, cells, case.title or _title(path), notes)
-    notes = (*scene.notes, *thin(bands, cells, outline, scene.mesh))
+    notes = (*scene.notes, *slim_notes(bands, cells, outline, scene.mesh))
     scene = replace(scene, faults=bands, notes=notes)
     return Loaded(case, scene, text, resolved_yaml(case, scene, digest))
 
