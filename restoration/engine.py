@@ -286,14 +286,14 @@ class StokesEngine:
             flow = self._solve(particles, state.time)
             with self.timed("surface"):
                 slaving.look(self.grid)
-                x, lift = self.grid.top.x, slaving.lift(flow)
-                surface = surface_of(lines)
+                surface, x = surface_of(lines), self.grid.top.x
+                slaving.passes(state.time, heights_on(surface.points, x), flow)
+                lift = slaving.lift(flow)
                 points = surface.points + np.column_stack(
                     [np.zeros(len(surface.points)), np.interp(surface.points[:, 0], x, lift)]
                 )
                 moved = replace(surface, points=points)
                 lines = tuple(moved if line is surface else line for line in lines)
-        slaving.settled(state.time, heights_on(surface_of(lines).points, x))
         return self.with_flow(State(state.time, particles, lines))
 
     def _solve(self, particles, time, hats=None, lead=0.0, before=None):
@@ -396,7 +396,7 @@ class _Step:
         self.lead = surface.lead(dt) if surface else 0.0
         self.start = np.concatenate(rows)
         self._stages = iter(STAGES[engine.scene.time.scheme])
-        self._flow, self._grid = None, state.grid
+        self._flow, self._flow_grid, self._grid = None, None, state.grid
         self._guess = np.r_[state.particles.cell, state.grid.index.guess(points)]
 
     def velocity(self, x):
@@ -413,7 +413,7 @@ class _Step:
             with engine.timed("surface"):
                 engine.surface.slaving.look(engine.grid)
                 flow = engine.surface.slaving.corrected(flow)
-        self._flow = flow
+        self._flow, self._flow_grid = flow, engine.grid
         with engine.timed("advect"):
             grid, rows = engine.grid, x[: self.points]
             cell, hats = self._located(rows)
@@ -433,8 +433,14 @@ class _Step:
             engine._stand(lines)
             cell, hats = self._located(x[: self.points])
             at = replace(at, cell=cell[: self.particles])
-        before = self._flow.u if self._flow is not None and self.lead else None
+        before = self._flow_at if self._flow is not None and self.lead else None
         return engine._solve(at, time, hats[: self.particles], self.lead, before)
+
+    def _flow_at(self, points):
+        """Return the velocity of the last stage at points, on the mesh it was solved on."""
+        grid = self._flow_grid
+        cell, hats = grid.index.locate(points, grid.index.guess(points))
+        return grid.sampler(grid.sampler.coefficients(self._flow.u), cell, hats)
 
     def _located(self, x):
         grid = self.engine.grid

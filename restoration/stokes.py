@@ -189,7 +189,7 @@ class StokesProblem:
         if self.top:
             # theta dt, and the flow that stands for the moved weight already
             self._lead = fem.Constant(section.mesh, PETSc.ScalarType(0))
-            self._before = fem.Function(spaces.V)
+            self._before = fem.Function(fem.VectorFunctionSpace(section.mesh, ("Lagrange", 2)))
             self.column = fem.Function(spaces.H)
             top = self.top
             weight = lambda u: stabilisation(u, test[0], rho, down, top.n)  # noqa: E731
@@ -216,11 +216,14 @@ class StokesProblem:
 
         Args:
             lead: theta times the signed step, s; 0 for the flow of the instant.
-            before: velocity that the surface is known to move with already, shape (nodes, 2), m/s,
-                or None; near that of the flow to come, it leaves an error of second order.
+            before: velocity that the surface is known to move with already, a function of points
+                (n, 2), m, or None; near that of the flow to come, it leaves an error of second
+                order.
         """
         self._lead.value = lead
-        self._before.x.array[:] = 0 if before is None else before.ravel()
+        dim = self.section.dim
+        at = self._before.function_space.tabulate_dof_coordinates()[:, :dim]
+        self._before.x.array[:] = 0 if before is None else before(at).ravel()
 
     def response(self, column):
         """Return the velocity that a column of rock on the surface adds to the flow solved last.

@@ -175,19 +175,24 @@ class Slaving:
         """Return the flow as it would be with the slaved modes where they belong."""
         return replace(flow, u=flow.u + self._response.flow(self.lift(flow)))
 
-    def settled(self, time, heights):
-        """Note the heights of a settled surface; their change tells the rate of the equilibrium.
+    def passes(self, time, heights, flow):
+        """Note the equilibrium of a moment; its change from the last tells its rate.
+
+        It depends on the interior alone, so that no error of the surface feeds back.
 
         Args:
             time: model time, s.
-            heights: at the top nodes, m.
+            heights: of the surface at the top nodes, m.
+            flow: `Flow` below that surface.
         """
         x = self.modes.x
+        still = np.zeros(len(x))
+        rest = self.modes.part(heights) + self.modes.lift(self._response.moments(flow.u), still)
         if self._last is not None and self._last[0] != time:
-            before = np.interp(x, self._last[1], self._last[2])
-            self._rate = x, self.modes.part(heights - before) / (time - self._last[0])
+            before = self.modes.part(np.interp(x, self._last[1], self._last[2]))
+            self._rate = x, (rest - before) / (time - self._last[0])
             self._age += 1
-        self._last = time, x, heights.copy()
+        self._last = time, x, rest
 
     def _rate_at(self, x):
         if self._rate is None:
