@@ -110,7 +110,7 @@ def slim_notes(faults, cells, outline, plan):
     return [
         f"{'fault' if len(slim) == 1 else 'faults'} {listed([f.name for f in slim], 'and')}: "
         f"{show(least, 'length')} wide where the finest cells are {show(cell, 'length')}, so that "
-        f"the flow sees a broader and stronger band; {more}, or write mesh.interfaces: fitted"
+        f"the flow sees them about as broad as those; {more}, or write mesh.interfaces: fitted"
     ]
 
 
