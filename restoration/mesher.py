@@ -14,6 +14,7 @@ from restoration.bands import areas, distance_to, mesh_lines, section_of
 from restoration.errors import MeshError
 from restoration.lines import spaced
 from restoration.particles import OUTSIDE
+from restoration.scene import Outline
 from restoration.seeding import graded
 from restoration.surface import checked, heights_on, surface_of
 
@@ -103,6 +104,9 @@ class Mesher:
 
     def _fitted(self, lines):
         outline, plan = self.scene.outline, self.scene.mesh.refine
+        surface = surface_of(lines)
+        if surface is not None:
+            outline = Outline(checked(surface.points), outline.base)
         where = plan.where if plan else ()
         follow = [line.points for line in lines if line.name in self.contacts]
         if "faults" in where:
