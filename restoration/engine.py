@@ -15,11 +15,12 @@ from restoration.advection import FROZEN, STAGES, STEPPERS
 from restoration.errors import MeshError, SolveError
 from restoration.free_surface import FreeSurface
 from restoration.grid import Grid
+from restoration.inflow import cast_off, cut, extended, flowed_in, touching, wall_points
 from restoration.lines import begin, points_of, refined, with_points
 from restoration.mesher import Mesher
 from restoration.particles import OUTSIDE, empty_cells, fill_cells, relocate, seed
 from restoration.plan import active
-from restoration.scene import WALLS, Line
+from restoration.scene import WALLS, Line, Outline
 from restoration.state import State
 from restoration.stokes import Counts
 from restoration.surface import checked, heights_on, line_area, surface_of
@@ -29,6 +30,7 @@ from restoration.surface_modes import SETTLINGS
 LINE_POINTS_PER_CELL = 4
 LINE_POINTS_PER_CELL_AT_TURNS = 32
 SURFACE_POINTS_PER_CELL = 8  # finer than the particles, which are a quarter of a square apart
+ON_WALL = 1e-9  # of the width: an end of a line this near to a side is on it
 ROCK_JUMP = 0.02  # of the section, that no rock wins or loses from one fitted mesh to the next
 PARTS = ("setup", "mesh", "fields", "assemble", "solve", "surface", "advect")
 
@@ -48,6 +50,8 @@ class StokesEngine:
         seconds: wall time by part, s.
         grid: the `Grid` in use: one for the run where the mesh stands still.
         meshes: number of meshes so far.
+        open: names of the walls that rock crosses.
+        left, entered: particles that have left and entered through each of them.
         surface: `FreeSurface`, or None.
         surface_shift: how far the surface was moved as a whole, in all steps so far, to keep the
             area below it what the flow through the walls makes it, m.
@@ -59,6 +63,12 @@ class StokesEngine:
         self.meshes, self.grid = 0, None
         self.surface = FreeSurface(scene) if scene.free else None
         self.surface_shift = 0.0
+        self.open = {n for n in WALLS if scene.normal_velocity(n) != 0} - (
+            {"surface"} if scene.free else set()
+        )
+        self.left, self.entered = dict.fromkeys(self.open, 0), dict.fromkeys(self.open, 0)
+        self.spacing = np.sqrt(scene.outline.area / (4 * np.prod(scene.cells)))
+        self.spacing /= np.sqrt(scene.particles.per_cell)
         with self.timed("setup"):
             self.mesher = Mesher(scene)
             self.cell_size = self.mesher.finest
@@ -97,6 +107,8 @@ class StokesEngine:
             "worst_residual": counts.worst_residual,
             "meshes": self.meshes,
             "particles_born": self.born,
+            "particles_left": dict(self.left),
+            "particles_entered": dict(self.entered),
             "wall_leak_m2_per_s": self.grid.stokes.leak,
             "wall_by_part_s": {part: round(s, 3) for part, s in self.seconds.items()},
         }
@@ -113,6 +125,8 @@ class StokesEngine:
             "particles": len(state.particles.x),
             "particles_lost": state.particles.lost,
             "particles_born": self.born,
+            "particles_left": sum(self.left.values()),
+            "particles_entered": sum(self.entered.values()),
             "empty_cells": self.empty_cells,
             "held_on_wall": self.held_on_wall,
         }
@@ -244,10 +258,10 @@ class StokesEngine:
         x = STEPPERS[self.scene.time.scheme](move.start, move.velocity, dt)
         self._steps += 1
         with self.timed("advect"):
-            on_walls = self._on_walls(x[: move.points])
-            cloud, points = np.split(on_walls, [move.particles])
+            moved = move.parts(self._on_walls(x[: move.fixed]))
+            lines = self._with_ends(state.lines, with_points(state.lines, moved["lines"]))
             lines = refined(
-                with_points(state.lines, points),
+                lines,
                 self.cell_size / LINE_POINTS_PER_CELL,
                 self.cell_size / LINE_POINTS_PER_CELL_AT_TURNS,
                 until,
@@ -255,16 +269,57 @@ class StokesEngine:
             )
         if self.surface:
             lines = self._with_area(lines, x[-1, 0])
-        particles = replace(state.particles, x=cloud)
+        particles = replace(state.particles, x=moved["particles"])
         if self.fitted:  # the mesh they will be in is yet to come
             particles = self._nowhere(particles)
         else:
             if self.surface:
                 particles = self._carried(particles, lines)
             with self.timed("advect"):
+                particles = self._through_walls(particles, lines, moved)
                 particles = self._settled(relocate(particles, self.grid.index))
         after = State(until, particles, lines)
         return self._on_equilibrium(after, 1) if slaving else after
+
+    def outline(self, lines):
+        """Return the frame of the section at a moment."""
+        surface, frame = surface_of(lines), self.scene.outline
+        return frame if surface is None else Outline(checked(surface.points), frame.base)
+
+    def _with_ends(self, before, lines):
+        """Return lines cut at the open sides where they have left, and drawn on where they lack.
+
+        Args:
+            before: the lines before the step.
+            lines: the same after it.
+        """
+        if not self.open.intersection(("left", "right")):
+            return lines
+        edges = self.scene.outline.surface[[0, -1], 0]
+        left, right = (
+            x if name in self.open else sign * np.inf
+            for name, x, sign in zip(("left", "right"), edges, (-1, 1), strict=True)
+        )
+        spacing, kept = self.cell_size / LINE_POINTS_PER_CELL, []
+        for was, line in zip(before, lines, strict=True):
+            ends = touching(was, left, right, ON_WALL * self.scene.outline.width)
+            inside = cut(line, left, right)
+            if inside is not None:
+                kept.append(extended(inside, ends, spacing))
+        return tuple(kept)
+
+    def _through_walls(self, particles, lines, moved):
+        """Return the particles without those that left, and with those that flowed in."""
+        if not self.open:
+            return particles
+        outline = self.outline(lines)
+        particles, out = cast_off(particles, outline, self.open)
+        for name in sorted(self.open):
+            self.left[name] += out[name]
+            before = len(particles.x)
+            particles = flowed_in(particles, name, outline, moved[name], self.spacing)
+            self.entered[name] += len(particles.x) - before
+        return particles
 
     def _with_area(self, lines, area):
         """Return the lines with the surface moved up or down as a whole to an area below it."""
@@ -321,17 +376,16 @@ class StokesEngine:
     def _settled(self, particles):
         """Return the particles with new ones where the fields could not be filled without.
 
-        A cell that runs empty inside a sealed section reads its rock from the particles around it,
-        continuously as they move. A birth is a jump that the way back cannot undo (see
-        docs/accuracy.md), so particles are born only where all is empty for two cells around, and
-        wherever a wall lets rock in.
+        A cell that runs empty reads its rock from the particles around it, continuously as they
+        move. A birth is a jump that the way back cannot undo (see docs/accuracy.md), so particles
+        are born only where all is empty for two cells around.
         """
         if self.fitted:  # the cells know their rock
             return particles
         index = self.grid.index
         empty = empty_cells(particles, len(index.area))
         self.empty_cells = len(empty)
-        if self.scene.sealed and len(empty):
+        if len(empty):
             nodes = self.grid.spaces.h_nodes
             held = np.ones(len(nodes), bool)
             held[empty] = False
@@ -343,17 +397,24 @@ class StokesEngine:
         self.born += len(empty)
         return fill_cells(particles, index, empty)
 
+    def within(self, x):
+        """Return the points with those beyond the frame set onto it; a free surface has none."""
+        outline = self.scene.outline
+        across = np.clip(x[:, 0], *outline.surface[[0, -1], 0])
+        top = np.inf if self.scene.free else np.interp(across, *outline.surface.T)
+        return np.column_stack([across, np.clip(x[:, 1], np.interp(across, *outline.base.T), top)])
+
     def _on_walls(self, x):
         """Return the points with those that a step carried through a closed wall set back onto it.
 
         No rock crosses such a wall; a step of finite length can, by its own error.
         """
         outline = self.scene.outline
-        held = {name: self.scene.normal_velocity(name) == 0 for name in WALLS}
+        held = {name: name not in self.open for name in WALLS}
+        held["surface"] &= not self.scene.free
         low = np.where(held["left"], outline.surface[0, 0], -np.inf)
         high = np.where(held["right"], outline.surface[-1, 0], np.inf)
         across = np.clip(x[:, 0], low, high)
-        held["surface"] &= not self.scene.free
         bottom = np.interp(across, *outline.base.T) if held["base"] else -np.inf
         top = np.interp(across, *outline.surface.T) if held["surface"] else np.inf
         inside = np.column_stack([across, np.clip(x[:, 1], bottom, top)])
@@ -381,23 +442,32 @@ class _Step:
 
     Attributes:
         start: the rows, shape (rows, 2).
-        particles, points: rows before the points of lines, and after them.
+        particles, fixed: number of particles, and of all rows but the area.
     """
 
     def __init__(self, engine, state, dt):
         self.engine, self.state, self.dt = engine, state, dt
         points = points_of(state.lines)
-        rows = [state.particles.x, points]
-        self.particles = len(state.particles.x)
-        self.points = self.particles + len(points)
+        rows = {"particles": state.particles.x, "lines": points}
+        rows |= {
+            name: wall_points(name, engine.outline(state.lines), engine.spacing / 2)
+            for name in sorted(engine.open)
+        }
+        ends = np.cumsum([len(part) for part in rows.values()])
+        self._rows = dict(zip(rows, np.split(np.arange(ends[-1]), ends[:-1]), strict=True))
+        self.particles, self.fixed = ends[0], ends[-1]
         surface = engine.surface
-        if surface:
-            rows.append([[line_area(surface_of(state.lines).points), 0.0]])
+        area = [[line_area(surface_of(state.lines).points), 0.0]] if surface else np.empty((0, 2))
         self.lead = surface.lead(dt) if surface else 0.0
-        self.start = np.concatenate(rows)
+        self.start = np.concatenate([*rows.values(), area])
         self._stages = iter(STAGES[engine.scene.time.scheme])
         self._flow, self._flow_grid, self._grid = None, None, state.grid
-        self._guess = np.r_[state.particles.cell, state.grid.index.guess(points)]
+        others = self.start[self.particles : self.fixed]
+        self._guess = np.r_[state.particles.cell, state.grid.index.guess(others)]
+
+    def parts(self, x):
+        """Return the rows of an array by name: particles, lines, and the open walls."""
+        return {name: x[rows] for name, rows in self._rows.items()}
 
     def velocity(self, x):
         """Return the velocity of the rows where they are, solving Stokes where the scheme asks."""
@@ -415,7 +485,7 @@ class _Step:
                 flow = engine.surface.slaving.corrected(flow)
         self._flow, self._flow_grid = flow, engine.grid
         with engine.timed("advect"):
-            grid, rows = engine.grid, x[: self.points]
+            grid, rows = engine.grid, x[: self.fixed]
             cell, hats = self._located(rows)
             u = grid.sampler(grid.sampler.coefficients(flow.u), cell, hats)
             if engine.surface:
@@ -425,13 +495,13 @@ class _Step:
     def _solved(self, x, time):
         engine, state = self.engine, self.state
         at = replace(state.particles, x=x[: self.particles])
-        lines = with_points(state.lines, x[self.particles : self.points])
+        lines = with_points(state.lines, x[self._rows["lines"]])
         if engine.fitted:
             at = engine._fit(at, lines)
-            cell, hats = self._located(x[: self.points])
+            cell, hats = self._located(x[: self.fixed])
         else:
             engine._stand(lines)
-            cell, hats = self._located(x[: self.points])
+            cell, hats = self._located(x[: self.fixed])
             at = replace(at, cell=cell[: self.particles])
         before = self._flow_at if self._flow is not None and self.lead else None
         return engine._solve(at, time, hats[: self.particles], self.lead, before)
@@ -447,6 +517,8 @@ class _Step:
         if grid is not self._grid:
             self._grid, self._guess = grid, grid.index.guess(x)
         with self.engine.timed("advect"):
+            if self.engine.open:  # what has left goes on with the rock at the wall
+                x = self.engine.within(x)
             cell, hats = grid.index.locate(x, self._guess)
         self._guess = np.where(cell == OUTSIDE, self._guess, cell)
         return cell, hats

@@ -19,6 +19,13 @@ DEEPEST = 1.5  # spacings that may be without particles in front of what flowed 
 ACROSS = 0.1  # weight of the distance across the wall when the layer of new rock is looked for
 
 
+def wall_points(name, outline, spacing):
+    """Return points along a wall from one end to the other, about ``spacing`` apart, (n, 2), m."""
+    count = 2 + int(_length(name, outline) / spacing)
+    along = np.linspace(0, _length(name, outline), count)
+    return _place(name, outline, np.zeros(count), along)
+
+
 def cast_off(particles, outline, walls=WALLS):
     """Remove the particles that have left through open walls.
 

@@ -58,8 +58,9 @@ def active(scene):
         f"steps by {scene.time.scheme}, "
         + ("one flow for each step" if frozen else "Stokes solved at every stage")
     )
+    parts += _surface(scene)
     if not scene.sealed:
-        parts.append("particles born where rock flows in; rock that flows out does not come back")
+        parts.append("rock leaves through open walls, and flows in as the column that stands there")
     if plan.interfaces == "particles":
         parts.append(
             f"density by {scene.transfer.density}, viscosity by {scene.transfer.viscosity} "
@@ -72,6 +73,27 @@ def _tables(scene):
     """Return whether a wall is held or pushed by a table."""
     walls = scene.walls.values()
     return any(isinstance(v, Table) for wall in walls for v in (*wall.velocity, *wall.traction))
+
+
+def _surface(scene):
+    """Return how a free surface is carried, in words."""
+    plan, parts = scene.surface, []
+    if not scene.free:
+        return parts
+    parts.append("a free surface: a line of its own that the mesh follows")
+    if plan.air:
+        parts.append(f"air {show(plan.air.thickness, 'length')} thick above it is solved for")
+    if plan.theta:
+        parts.append(f"its weight when moved counts in the flow, theta {plan.theta:g}")
+    if min(scene.time.marks[1:]) < max(scene.time.marks[:-1]):
+        ways = {
+            "auto": "backward, its modes that relax fast are slaved where they could not return",
+            "integrate": "backward, it is integrated as it is",
+            "slave": "backward, its modes that relax fast are slaved to the rock below",
+            "stabilise": "backward, its weight counts with the sign of a forward step",
+        }
+        parts.append(ways[plan.reverse])
+    return parts
 
 
 def _solver(scene):

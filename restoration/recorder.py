@@ -38,6 +38,8 @@ COLUMNS = (
     "particles",
     "particles_lost",
     "particles_born",
+    "particles_left",
+    "particles_entered",
     "empty_cells",
     "held_on_wall",
     "wall_s",

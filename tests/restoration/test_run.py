@@ -229,7 +229,9 @@ def test_rock_that_left_is_counted_and_not_averaged(tmp_path):
     }
     scene = diapir_scene(cells=(8, 9), marks=(0, 0.3, 0), walls=walls)
     record, _ = run_job(job(tmp_path, scene))
-    assert record["particles_lost"] > 0
+    assert record["particles_left"]["right"] > 0
+    assert record["particles_entered"]["right"] > 0
+    assert record["particles_lost"] == 0
     assert record["there_and_back"]["max_m"] < 500
     assert sum(record["there_and_back"]["histogram"]["count"]) < record["particles"]
 
