@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
+from restoration.lines import surface_of
 from restoration.page import DPI, INK, round_number, shorten
 from restoration.plan import counts_back
 from restoration.scene import Outline, Scene
@@ -14,7 +15,9 @@ LINE_STYLES = {
     "horizon": {"color": "#111111", "linewidth": 0.9},
     "fault": {"color": "#c00020", "linewidth": 1.4},
     "edge": {"color": "#c00020", "linewidth": 0.5},
+    "surface": {"color": "#111111", "linewidth": 0.9},
 }
+UNNAMED = {"edge", "surface"}  # kinds that the key leaves out
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,7 +31,7 @@ class Panel:
         unit: row of `Scene.units` of every particle, shape (n,).
         lines: horizons and faults at that time, a sequence of `restoration.scene.Line`.
         velocity: points, shape (k, 2), m, and the velocity there, shape (k, 2), m/s; or None.
-        outline: the frame at that time; None for the scene's.
+        outline: the frame at that time; None for the scene's, below the surface among the lines.
         label: replaces the text of the time.
     """
 
@@ -44,6 +47,9 @@ class Panel:
     @property
     def frame(self):
         """The outline at that time."""
+        moved = surface_of(self.lines)
+        if moved is not None:
+            return Outline(moved.points, self.scene.outline.base)
         return self.outline or self.scene.outline
 
 
@@ -187,7 +193,7 @@ def legend_handles(panels):
         Patch(facecolor=unit.color, edgecolor=INK, linewidth=0.6, label=unit_label(scene, unit))
         for unit in reversed(scene.units)
     ]
-    kinds = {line.kind for panel in panels for line in panel.lines} - {"edge"}
+    kinds = {line.kind for panel in panels for line in panel.lines} - UNNAMED
     return handles + [
         Line2D([], [], label=kind, **LINE_STYLES[kind]) for kind in LINE_STYLES if kind in kinds
     ]

@@ -5,6 +5,7 @@ import shapely
 
 from restoration.lines import as_drawn
 from restoration.particles import OUTSIDE
+from restoration.transfer import FittedFields
 
 LEAST = 1e-6  # m, shorter distances count as this in the histogram
 LOG_BINS = np.arange(-6, 6.5, 0.5)  # log10 of m
@@ -87,12 +88,13 @@ def volume_by_rock(scene, grid, particles):
     """
     rock = np.array([unit.rock for unit in scene.units])
     table = (rock[:, None] == np.arange(len(scene.rocks))).astype(float)
-    if grid.section.regions is not None:
+    if isinstance(grid.fields, FittedFields):
         share = table[grid.fields.unit]
     else:
         p, weights = particles, grid.index.locate(particles.x, particles.cell)[1]
         hats = grid.fields.hat_means(table, p.cell, weights, p.unit, p.area)
         share = hats[grid.spaces.h_nodes].mean(axis=1)
+        share[grid.fields.in_air] = 0
     volume = np.einsum("c,cr->r", grid.index.area, share)
     return {rock.name: float(v) for rock, v in zip(scene.rocks, volume, strict=True)}
 

@@ -16,14 +16,14 @@ from restoration.errors import MeshError, SolveError
 from restoration.free_surface import FreeSurface
 from restoration.grid import Grid
 from restoration.inflow import cast_off, cut, extended, flowed_in, touching, wall_points
-from restoration.lines import begin, points_of, refined, with_points
+from restoration.lines import begin, points_of, refined, surface_of, with_points
 from restoration.mesher import Mesher
 from restoration.particles import OUTSIDE, empty_cells, fill_cells, relocate, seed
 from restoration.plan import active
 from restoration.scene import WALLS, Line, Outline
 from restoration.state import State
 from restoration.stokes import Counts
-from restoration.surface import checked, heights_on, line_area, surface_of
+from restoration.surface import checked, heights_on, line_area
 from restoration.surface_modes import SETTLINGS
 
 # A horizon is kept this many times finer than the mesh, see `lines.refined`.

@@ -27,6 +27,11 @@ class MovingLine(Line):
     way: np.ndarray
 
 
+def surface_of(lines):
+    """Return the surface among moving lines, or None."""
+    return next((line for line in lines if line.kind == "surface"), None)
+
+
 def begin(lines, longest):
     """Return drawn lines ready to move, with vertices at most ``longest`` apart, m.
 

@@ -12,11 +12,11 @@ from meshes.refine import adapted_mesh
 from meshes.section import MeshingError, fitted_mesh
 from restoration.bands import areas, distance_to, mesh_lines, section_of
 from restoration.errors import MeshError
-from restoration.lines import spaced
+from restoration.lines import spaced, surface_of
 from restoration.particles import OUTSIDE
 from restoration.scene import Outline
 from restoration.seeding import graded
-from restoration.surface import checked, heights_on, surface_of
+from restoration.surface import checked, heights_on
 
 ASIDE = 1e-4  # of the height: where the rocks on both sides of a line are asked for
 

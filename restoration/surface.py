@@ -19,11 +19,6 @@ GROUND = 9  # tag of the inner facets between rock and air
 WORST_SHAPE = 0.3
 
 
-def surface_of(lines):
-    """Return the surface among moving lines, or None."""
-    return next((line for line in lines if line.kind == "surface"), None)
-
-
 def line_area(points):
     """Return the area between a line and z = 0, m^2."""
     return float(np.trapz(points[:, 1], points[:, 0]))
