@@ -32,7 +32,8 @@ def fitted_mesh(surface, base, lines, size, near=None, grading=0.3, snap=None):
     Lines may end on walls, on each other or inside, cross, close and coincide in part; what lies
     outside of the section is cut off. Corners, ends and junctions become nodes, and so do corners
     between long straight pieces; the other nodes lie on the lines about ``near`` apart, less where
-    lines come close or one with shorter edges is near. A wall is meshed at ``size`` unless it is among the lines too.
+    lines come close or one with shorter edges is near. A wall is meshed at ``size`` unless it is
+    among the lines too.
 
     Args:
         surface: top line, shape (n, 2), x ascending, m.
