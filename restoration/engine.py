@@ -30,6 +30,7 @@ from restoration.surface_modes import SETTLINGS
 LINE_POINTS_PER_CELL = 4
 LINE_POINTS_PER_CELL_AT_TURNS = 32
 SURFACE_POINTS_PER_CELL = 8  # finer than the particles, which are a quarter of a square apart
+TRIAL = 0.1  # of the relaxation time of the fastest mode: a step that tells a rate
 ON_WALL = 1e-9  # of the width: an end of a line this near to a side is on it
 ROCK_JUMP = 0.02  # of the section, that no rock wins or loses from one fitted mesh to the next
 PARTS = ("setup", "mesh", "fields", "assemble", "solve", "surface", "advect")
@@ -251,12 +252,29 @@ class StokesEngine:
 
     def advance(self, state, until):
         """Return the state moved to the time ``until``, s; earlier than now restores."""
-        dt, slaving = until - state.time, self.surface and self.surface.slaving
+        slaving = self.surface and self.surface.slaving
         if slaving and slaving.modes is None:
-            state = self._on_equilibrium(state)
-        move = _Step(self, state, dt)
-        x = STEPPERS[self.scene.time.scheme](move.start, move.velocity, dt)
+            self._find_rate(state)
+            state = self._on_equilibrium(state, SETTLINGS)
+        after = self._moved(state, until, self.scene.time.scheme)
         self._steps += 1
+        if not self.fitted:
+            with self.timed("advect"):
+                after = replace(after, particles=self._settled(after.particles))
+        return self._on_equilibrium(after, 1) if slaving else after
+
+    def _moved(self, state, until, scheme, slaving=True):
+        """Return a state moved by a scheme, its particles located but no cells filled.
+
+        Args:
+            state: with its flow.
+            until: model time, s.
+            scheme: name of a stepper.
+            slaving: whether slaved modes of the surface move with their equilibrium.
+        """
+        dt = until - state.time
+        move = _Step(self, state, dt, scheme, slaving)
+        x = STEPPERS[scheme](move.start, move.velocity, dt)
         with self.timed("advect"):
             moved = move.parts(self._on_walls(x[: move.fixed]))
             lines = self._with_ends(state.lines, with_points(state.lines, moved["lines"]))
@@ -271,15 +289,38 @@ class StokesEngine:
             lines = self._with_area(lines, x[-1, 0])
         particles = replace(state.particles, x=moved["particles"])
         if self.fitted:  # the mesh they will be in is yet to come
-            particles = self._nowhere(particles)
-        else:
-            if self.surface:
-                particles = self._carried(particles, lines)
-            with self.timed("advect"):
-                particles = self._through_walls(particles, lines, moved)
-                particles = self._settled(relocate(particles, self.grid.index))
-        after = State(until, particles, lines)
-        return self._on_equilibrium(after, 1) if slaving else after
+            return State(until, self._nowhere(particles), lines)
+        if self.surface:
+            particles = self._carried(particles, lines)
+        with self.timed("advect"):
+            particles = self._through_walls(particles, lines, moved)
+            particles = relocate(particles, self.grid.index)
+        return State(until, particles, lines)
+
+    def _find_rate(self, state):
+        """Find the rate of the equilibrium of the surface where slaving begins, by a trial step."""
+        slaving = self.surface.slaving
+        with self.timed("surface"):
+            slaving.look(self.grid)
+            here = self._surface_heights(state.lines)
+            slaving.passes(state.time, here, state.flow)
+        trial = self._moved(
+            state, state.time - TRIAL / slaving.modes.rates[-1], "euler", slaving=False
+        )
+        at = self._placed(trial.particles, trial.lines)
+        flow = self._solve(at, trial.time)
+        with self.timed("surface"):
+            slaving.look(self.grid)
+            slaving.passes(trial.time, self._surface_heights(trial.lines), flow)
+            slaving.returns(state.time)
+
+    def _placed(self, particles, lines):
+        """Return the particles located in a mesh for the lines where they are."""
+        place = self._fit if self.fitted else self._carried
+        return place(particles, lines)
+
+    def _surface_heights(self, lines):
+        return heights_on(surface_of(lines).points, self.grid.top.x)
 
     def outline(self, lines):
         """Return the frame of the section at a moment."""
@@ -330,23 +371,18 @@ class StokesEngine:
         points[:, 1] += shift
         return tuple(replace(x, points=points) if x is surface else x for x in lines)
 
-    def _on_equilibrium(self, state, settlings=SETTLINGS):
+    def _on_equilibrium(self, state, settlings):
         """Return a state with the slaved modes of its surface on their equilibrium."""
         slaving, lines, particles = self.surface.slaving, state.lines, state.particles
         for _ in range(settlings):
-            if self.fitted:
-                particles = self._fit(particles, lines)
-            else:
-                particles = self._carried(particles, lines)
+            particles = self._placed(particles, lines)
             flow = self._solve(particles, state.time)
             with self.timed("surface"):
                 slaving.look(self.grid)
-                surface, x = surface_of(lines), self.grid.top.x
-                slaving.passes(state.time, heights_on(surface.points, x), flow)
-                lift = slaving.lift(flow)
-                points = surface.points + np.column_stack(
-                    [np.zeros(len(surface.points)), np.interp(surface.points[:, 0], x, lift)]
-                )
+                slaving.passes(state.time, self._surface_heights(lines), flow)
+                surface, lift = surface_of(lines), slaving.lift(flow)
+                rise = np.interp(surface.points[:, 0], self.grid.top.x, lift)
+                points = surface.points + np.column_stack([np.zeros(len(rise)), rise])
                 moved = replace(surface, points=points)
                 lines = tuple(moved if line is surface else line for line in lines)
         return self.with_flow(State(state.time, particles, lines))
@@ -439,14 +475,17 @@ class _Step:
         engine: `StokesEngine`.
         state: `State` with its flow.
         dt: signed step, s.
+        scheme: name of the stepper.
+        slaving: whether slaved modes of the surface move with their equilibrium.
 
     Attributes:
         start: the rows, shape (rows, 2).
         particles, fixed: number of particles, and of all rows but the area.
     """
 
-    def __init__(self, engine, state, dt):
-        self.engine, self.state, self.dt = engine, state, dt
+    def __init__(self, engine, state, dt, scheme, slaving):
+        self.engine, self.state, self.dt, self.scheme = engine, state, dt, scheme
+        self.slaving = engine.surface.slaving if engine.surface and slaving else None
         points = points_of(state.lines)
         rows = {"particles": state.particles.x, "lines": points}
         rows |= {
@@ -460,7 +499,7 @@ class _Step:
         area = [[line_area(surface_of(state.lines).points), 0.0]] if surface else np.empty((0, 2))
         self.lead = surface.lead(dt) if surface else 0.0
         self.start = np.concatenate([*rows.values(), area])
-        self._stages = iter(STAGES[engine.scene.time.scheme])
+        self._stages = iter(STAGES[scheme])
         self._flow, self._flow_grid, self._grid = None, None, state.grid
         others = self.start[self.particles : self.fixed]
         self._guess = np.r_[state.particles.cell, state.grid.index.guess(others)]
@@ -475,14 +514,14 @@ class _Step:
         share, first = next(self._stages), self._flow is None
         if first and not self.lead:
             flow = state.flow
-        elif not first and engine.scene.time.scheme in FROZEN:
+        elif not first and self.scheme in FROZEN:
             flow = self._flow
         else:
             flow = self._solved(x, state.time + share * self.dt)
-        if engine.surface and engine.surface.slaving and flow is not self._flow:
+        if self.slaving and flow is not self._flow:
             with engine.timed("surface"):
-                engine.surface.slaving.look(engine.grid)
-                flow = engine.surface.slaving.corrected(flow)
+                self.slaving.look(engine.grid)
+                flow = self.slaving.corrected(flow)
         self._flow, self._flow_grid = flow, engine.grid
         with engine.timed("advect"):
             grid, rows = engine.grid, x[: self.fixed]

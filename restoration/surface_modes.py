@@ -194,6 +194,17 @@ class Slaving:
             self._age += 1
         self._last = time, x, rest
 
+    def returns(self, time):
+        """Go back to where a trial step began: what it told of the rate is kept.
+
+        Args:
+            time: model time where it began, s.
+        """
+        _, x, rest = self._last
+        at, rate = self._rate
+        self._last = time, x, rest - np.interp(x, at, rate) * (self._last[0] - time)
+        self._age = 0
+
     def _rate_at(self, x):
         if self._rate is None:
             return np.zeros(len(x))
