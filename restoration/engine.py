@@ -23,14 +23,15 @@ from restoration.plan import active
 from restoration.scene import WALLS, Line, Outline
 from restoration.state import State
 from restoration.stokes import Counts
-from restoration.surface import checked, heights_on, line_area
+from restoration.surface import checked, fallen, line_area
 from restoration.surface_modes import SETTLINGS
 
 # A horizon is kept this many times finer than the mesh, see `lines.refined`.
 LINE_POINTS_PER_CELL = 4
 LINE_POINTS_PER_CELL_AT_TURNS = 32
 SURFACE_POINTS_PER_CELL = 8  # finer than the particles, which are a quarter of a square apart
-TRIAL = 0.1  # of the relaxation time of the fastest mode: a step that tells a rate
+STEEPEST = 2.0  # slope of a surface that stands; what becomes steeper falls
+TRIAL = 0.5  # of the relaxation time of the fastest mode: a step that tells a rate
 ON_WALL = 1e-9  # of the width: an end of a line this near to a side is on it
 ROCK_JUMP = 0.02  # of the section, that no rock wins or loses from one fitted mesh to the next
 PARTS = ("setup", "mesh", "fields", "assemble", "solve", "surface", "advect")
@@ -54,6 +55,7 @@ class StokesEngine:
         open: names of the walls that rock crosses.
         left, entered: particles that have left and entered through each of them.
         surface: `FreeSurface`, or None.
+        fallen: area of rock that fell from cliffs of the surface so far, m^2.
         surface_shift: how far the surface was moved as a whole, in all steps so far, to keep the
             area below it what the flow through the walls makes it, m.
     """
@@ -63,7 +65,7 @@ class StokesEngine:
         self.scene, self.counts = scene, Counts()
         self.meshes, self.grid = 0, None
         self.surface = FreeSurface(scene) if scene.free else None
-        self.surface_shift = 0.0
+        self.surface_shift, self.fallen = 0.0, 0.0
         self.open = {n for n in WALLS if scene.normal_velocity(n) != 0} - (
             {"surface"} if scene.free else set()
         )
@@ -286,7 +288,7 @@ class StokesEngine:
                 dt,
             )
         if self.surface:
-            lines = self._with_area(lines, x[-1, 0])
+            lines = self._with_area(self._without_cliffs(lines), x[-1, 0])
         particles = replace(state.particles, x=moved["particles"])
         if self.fitted:  # the mesh they will be in is yet to come
             return State(until, self._nowhere(particles), lines)
@@ -302,8 +304,8 @@ class StokesEngine:
         slaving = self.surface.slaving
         with self.timed("surface"):
             slaving.look(self.grid)
-            here = self._surface_heights(state.lines)
-            slaving.passes(state.time, here, state.flow)
+            slaving.passes(state.time, surface_of(state.lines).points, state.flow)
+        begin = slaving.last
         trial = self._moved(
             state, state.time - TRIAL / slaving.modes.rates[-1], "euler", slaving=False
         )
@@ -311,16 +313,13 @@ class StokesEngine:
         flow = self._solve(at, trial.time)
         with self.timed("surface"):
             slaving.look(self.grid)
-            slaving.passes(trial.time, self._surface_heights(trial.lines), flow)
-            slaving.returns(state.time)
+            slaving.passes(trial.time, surface_of(trial.lines).points, flow)
+        slaving.returns(begin)
 
     def _placed(self, particles, lines):
         """Return the particles located in a mesh for the lines where they are."""
         place = self._fit if self.fitted else self._carried
         return place(particles, lines)
-
-    def _surface_heights(self, lines):
-        return heights_on(surface_of(lines).points, self.grid.top.x)
 
     def outline(self, lines):
         """Return the frame of the section at a moment."""
@@ -362,6 +361,16 @@ class StokesEngine:
             self.entered[name] += len(particles.x) - before
         return particles
 
+    def _without_cliffs(self, lines):
+        """Return the lines with what is too steep of the surface fallen down."""
+        surface = surface_of(lines)
+        slope = np.diff(surface.points[:, 1]) / np.diff(surface.points[:, 0])
+        if (np.diff(surface.points[:, 0]) > 0).all() and np.abs(slope).max() <= STEEPEST:
+            return lines
+        points, area = fallen(surface.points, STEEPEST)
+        self.fallen += area
+        return tuple(replace(x, points=points) if x is surface else x for x in lines)
+
     def _with_area(self, lines, area):
         """Return the lines with the surface moved up or down as a whole to an area below it."""
         surface = surface_of(lines)
@@ -379,8 +388,9 @@ class StokesEngine:
             flow = self._solve(particles, state.time)
             with self.timed("surface"):
                 slaving.look(self.grid)
-                slaving.passes(state.time, self._surface_heights(lines), flow)
-                surface, lift = surface_of(lines), slaving.lift(flow)
+                surface = surface_of(lines)
+                slaving.passes(state.time, surface.points, flow)
+                lift = slaving.lift(flow)
                 rise = np.interp(surface.points[:, 0], self.grid.top.x, lift)
                 points = surface.points + np.column_stack([np.zeros(len(rise)), rise])
                 moved = replace(surface, points=points)
@@ -535,6 +545,7 @@ class _Step:
         engine, state = self.engine, self.state
         at = replace(state.particles, x=x[: self.particles])
         lines = with_points(state.lines, x[self._rows["lines"]])
+        lines = engine._with_ends(state.lines, lines)
         if engine.fitted:
             at = engine._fit(at, lines)
             cell, hats = self._located(x[: self.fixed])

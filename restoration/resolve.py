@@ -90,7 +90,9 @@ def load(path, overrides=(), allow_outside=False):
     crossed = [
         name
         for name, wall in walls.items()
-        if wall.kind != "free" and normal_velocity(name, wall, shape.outline) != 0
+        if name in ("base", "surface")
+        and wall.kind != "free"
+        and normal_velocity(name, wall, shape.outline) != 0
     ]
     if case.mesh.interfaces == "fitted" and crossed:
         message = f"rock may cross the {listed(crossed, last='and')}, and mesh lines that follow it"

@@ -16,7 +16,9 @@ from restoration.units import show
 
 GROUND = 9  # tag of the inner facets between rock and air
 # A mesh is made anew where a cell has lost more than this part of its shape.
-WORST_SHAPE = 0.3
+WORST_SHAPE = 0.15
+LEAST_RUN = 1e-6  # of the width, between two points of a line that was made upright
+LEAST_FALL, MOST_FALLS = 1e-3, 2000  # of the longest segment; sweeps
 
 
 def line_area(points):
@@ -38,6 +40,41 @@ def checked(points):
             f"z = {show(float(at[1]), 'length')}; no mesh with vertical columns follows it"
         )
     return points
+
+
+def fallen(points, steepest):
+    """Return a surface line without cliffs: what is steeper falls, and what overhangs is upright.
+
+    The ends of a segment that is too steep move towards each other, the area below kept, again and
+    again until none is left.
+
+    Args:
+        points: of the line, shape (n, 2), m.
+        steepest: slope, rise over run, that stands.
+
+    Returns:
+        The line, and the area that fell, m^2.
+    """
+    x, z = points.T.copy()
+    if not (np.diff(x) > 0).all():
+        low, high = np.minimum.accumulate(x[::-1])[::-1], np.maximum.accumulate(x)
+        x = (low + high) / 2
+        x += LEAST_RUN * np.ptp(x) * (np.arange(len(x)) - (len(x) - 1) / 2) / len(x)
+        x[[0, -1]] = points[[0, -1], 0]
+    run = np.diff(x)
+    width = (np.r_[run, 0] + np.r_[0, run]) / 2
+    for _ in range(MOST_FALLS):
+        steep = 0.0
+        for first in (0, 1):
+            a = np.arange(first, len(run), 2)
+            rise = z[a + 1] - z[a]
+            excess = np.sign(rise) * np.maximum(np.abs(rise) - steepest * run[a], 0)
+            z[a] += excess * width[a + 1] / (width[a] + width[a + 1])
+            z[a + 1] -= excess * width[a] / (width[a] + width[a + 1])
+            steep = max(steep, np.abs(excess).max(initial=0.0))
+        if steep <= LEAST_FALL * steepest * run.max():
+            break
+    return np.column_stack([x, z]), float(width @ np.abs(z - points[:, 1])) / 2
 
 
 def heights_on(points, x):

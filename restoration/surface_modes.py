@@ -8,12 +8,14 @@ ones are integrated.
 """
 
 from copy import copy
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import ufl
 from dolfinx import fem
 from scipy.linalg import eigh
+
+from restoration.surface import heights_on
 
 # Growth exp(gamma T) up to which a surface is integrated backward as it is, and the cut between
 # slaved and integrated modes above it, as gamma T: see docs/surface.md.
@@ -117,9 +119,10 @@ class SurfaceModes:
             return self
         other = copy(self)
         other.x, other.mass = x, hat_mass(x)
-        shapes = np.column_stack([np.interp(x, self.x, shape) for shape in self.fast.T])
-        norm = np.sqrt(np.einsum("ik,ij,jk->k", shapes, other.mass, shapes)) if shapes.size else 1
-        other.fast = shapes / norm if shapes.size else np.empty((len(x), 0))
+        other.fast = np.empty((len(x), self.fast.shape[1]))
+        for k, shape in enumerate(self.fast.T):
+            other.fast[:, k] = np.interp(x, self.x, shape)
+        other.fast /= np.sqrt(np.einsum("ik,ij,jk->k", other.fast, other.mass, other.fast))
         return other
 
     def part(self, heights):
@@ -135,6 +138,16 @@ class SurfaceModes:
         """
         excess = self.fast.T @ (moments - self.mass @ rate)
         return self.fast @ (excess / self._fast_rates)
+
+
+@dataclass(frozen=True, eq=False)
+class _Moment:
+    """A surface line and how fast it rises at the top nodes of a mesh."""
+
+    time: float
+    points: np.ndarray
+    x: np.ndarray
+    rise: np.ndarray
 
 
 class Slaving:
@@ -175,35 +188,38 @@ class Slaving:
         """Return the flow as it would be with the slaved modes where they belong."""
         return replace(flow, u=flow.u + self._response.flow(self.lift(flow)))
 
-    def passes(self, time, heights, flow):
-        """Note the equilibrium of a moment; its change from the last tells its rate.
+    def passes(self, time, points, flow):
+        """Note a moment; what has changed since the last tells the rate of the equilibrium.
 
         It depends on the interior alone, so that no error of the surface feeds back.
 
         Args:
             time: model time, s.
-            heights: of the surface at the top nodes, m.
+            points: of the surface line, shape (n, 2), m.
             flow: `Flow` below that surface.
         """
         x = self.modes.x
-        still = np.zeros(len(x))
-        rest = self.modes.part(heights) + self.modes.lift(self._response.moments(flow.u), still)
-        if self._last is not None and self._last[0] != time:
-            before = self.modes.part(np.interp(x, self._last[1], self._last[2]))
-            self._rate = x, (rest - before) / (time - self._last[0])
+        moment = _Moment(time, points, x, self._response.rise(flow.u))
+        if self._last is not None and self._last.time != time:
+            self._rate = x, (self._rest(moment) - self._rest(self._last)) / (time - self._last.time)
             self._age += 1
-        self._last = time, x, rest
+        self._last = moment
 
-    def returns(self, time):
-        """Go back to where a trial step began: what it told of the rate is kept.
+    def _rest(self, moment):
+        """Return the equilibrium of the slaved modes of now at a moment, at the nodes of now, m."""
+        x, mass = self.modes.x, self.modes.mass
+        rise = np.interp(x, moment.x, moment.rise)
+        still = np.zeros(len(x))
+        return self.modes.part(heights_on(moment.points, x)) + self.modes.lift(mass @ rise, still)
 
-        Args:
-            time: model time where it began, s.
-        """
-        _, x, rest = self._last
-        at, rate = self._rate
-        self._last = time, x, rest - np.interp(x, at, rate) * (self._last[0] - time)
-        self._age = 0
+    @property
+    def last(self):
+        """The moment noted last; `passes` and `returns` set it."""
+        return self._last
+
+    def returns(self, moment):
+        """Go back to a moment, as after a trial step: what that told of the rate is kept."""
+        self._last, self._age = moment, 0
 
     def _rate_at(self, x):
         if self._rate is None:
