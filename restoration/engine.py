@@ -155,9 +155,8 @@ class StokesEngine:
         line = surface_of(lines)
         if line is None:
             return
-        if regions is not None:
-            self.grid.index.moved(self.grid.top.line)
-        elif not self.grid.follow(checked(line.points)):
+        # a fitted mesh too: nodes on the line make chords, which lie below its crests
+        if not self.grid.follow(checked(line.points)):
             raise MeshError(
                 "the cells below the surface lose their shape: it is too steep for columns; "
                 "raise mesh.cells"
