@@ -4,7 +4,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from restoration.surface_modes import CUT, INTEGRABLE, Slaving, SurfaceResponse
+from restoration.surface_modes import INTEGRABLE, Slaving, SurfaceResponse
 
 # Step times rate up to which the explicit schemes keep a relaxing surface from growing.
 STABLE = {"euler": 2.0, "paper": 2.0, "midpoint": 2.0, "rk4": 2.785}
@@ -69,7 +69,7 @@ class FreeSurface:
         self.growth = rate * span
         wanted = self.plan.reverse
         if wanted == "slave" or (wanted == "auto" and self.growth > INTEGRABLE):
-            self.slaving = Slaving(CUT / span)
+            self.slaving = Slaving(span, self.plan.tolerance)
 
 
 def time_to_restore(marks, mark):

@@ -3,8 +3,8 @@
 A surface sinks back to its equilibrium, v = -G (h - h_eq), and G, found column by column from the
 Stokes flow of the moment, parts it into modes with rates gamma. Backward a mode grows as
 exp(gamma T). One that relaxes within a small part of the time to be restored has kept nothing of
-what it was: it is slaved, set to where it moves no faster than its equilibrium does. The slower
-ones are integrated.
+what it was: it is slaved, set to where it moves as its equilibrium does. The slower ones are
+integrated.
 """
 
 from copy import copy
@@ -17,13 +17,13 @@ from scipy.linalg import eigh
 
 from restoration.surface import heights_on
 
-# Growth exp(gamma T) up to which a surface is integrated backward as it is, and the cut between
-# slaved and integrated modes above it, as gamma T: see docs/surface.md.
-INTEGRABLE = 5.0
-CUT = 8.0
+# A mode is integrated backward up to a growth exp(gamma T) with this gamma T and slaved above it,
+# and above the second one too where it would grow out of all bounds; see docs/surface.md.
+INTEGRABLE, LEAST = 5.0, 2.0
 REFRESH = 10  # steps after which the modes are found anew
 SETTLINGS = 3  # of a surface that may be far from its equilibrium
 POWER_STEPS = 4
+NEAR = 0.25  # of the shortest cell: how far nodes may be from those that the modes were found at
 SAFETY = 1.1  # of the estimate of the fastest rate, which comes from below
 
 
@@ -47,6 +47,13 @@ class SurfaceResponse:
         test = ufl.TestFunction(grid.spaces.H)
         self._moments = fem.form(top.over(top.rock * ufl.dot(self._u, top.n) * test))
         self.mass = hat_mass(top.x)
+
+    def along(self, u):
+        """Return the greatest speed of the rock along the surface, m/s."""
+        top = self.grid.top.line
+        cell, hats = self.grid.index.locate(top, self.grid.index.guess(top))
+        sampler = self.grid.sampler
+        return float(np.abs(sampler(sampler.coefficients(u), cell, hats)[:, 0]).max())
 
     def moments(self, u):
         """Return the rise of the surface weighted with the hats of its nodes, (m,), m^2/s.
@@ -94,50 +101,87 @@ class SurfaceResponse:
 class SurfaceModes:
     """The modes of a surface that relax faster than a cut.
 
+    The amounts of the modes, (k,), m, are those of shapes whose mean square is 1 / length.
+
     Args:
         response: `SurfaceResponse` of the flow solved last.
         cut: rate above which modes are slaved, 1/s.
 
     Attributes:
-        rates: of all modes, ascending, 1/s.
-        fast: shapes of the slaved ones at the nodes, shape (m, k).
+        x: of the nodes, (m,), m.
+        rates: of all modes, ascending, (m,), 1/s.
+        slaved: rates of those above the cut, (k,), 1/s.
     """
 
     def __init__(self, response, cut):
-        self.x, self.mass, self.cut = response.grid.top.x.copy(), response.mass, cut
+        self.x, self._mass = response.grid.top.x.copy(), response.mass
         count = len(self.x)
         drop = np.empty((count, count))
         for i, one in enumerate(np.eye(count)):
             drop[:, i] = -response.moments(response.flow(one))
-        self.rates, shapes = eigh((drop + drop.T) / 2, self.mass)
+        self.rates, self._all = eigh((drop + drop.T) / 2, self._mass)
+        self.slaved, self._shapes = self._above(cut)
+
+    def _above(self, cut):
         chosen = self.rates > cut
-        self.fast, self._fast_rates = shapes[:, chosen], self.rates[chosen]
+        return self.rates[chosen], self._all[:, chosen]
 
-    def at(self, x):
-        """Return the modes at other nodes, shape (m,), m: their shapes interpolated."""
-        if len(x) == len(self.x) and np.allclose(x, self.x):
-            return self
-        other = copy(self)
-        other.x, other.mass = x, hat_mass(x)
-        other.fast = np.empty((len(x), self.fast.shape[1]))
-        for k, shape in enumerate(self.fast.T):
-            other.fast[:, k] = np.interp(x, self.x, shape)
-        other.fast /= np.sqrt(np.einsum("ik,ij,jk->k", other.fast, other.mass, other.fast))
-        return other
-
-    def part(self, heights):
-        """Return the slaved part of heights at the nodes."""
-        return self.fast @ (self.fast.T @ (self.mass @ heights))
-
-    def lift(self, moments, rate):
-        """Return the heights to be added so that the slaved modes move as fast as is wanted.
+    def bearable(self, cut, moments, growing, tolerance):
+        """Return the rate, at most ``cut``, above which modes cannot be integrated backward, 1/s.
 
         Args:
+            cut: 1/s.
             moments: of the rise of the surface, see `SurfaceResponse.moments`.
-            rate: wanted rise at the nodes, m/s.
+            growing: how long the modes would grow, s.
+            tolerance: up to which what is missing from the equilibrium may grow, m.
         """
-        excess = self.fast.T @ (moments - self.mass @ rate)
-        return self.fast @ (excess / self._fast_rates)
+        rates, shapes = self._above(LEAST / growing)
+        slow = rates <= cut
+        rates, shapes = rates[slow], shapes[:, slow]
+        missing = np.abs(shapes.T @ moments) / rates * np.abs(shapes).max(axis=0)
+        grown = rates[missing * np.exp(rates * growing) > tolerance]
+        return np.nextafter(grown[0], 0) if len(grown) else cut
+
+    def near(self, x):
+        """Return whether the modes can be read at other nodes: as many, and hardly moved."""
+        if len(x) != len(self.x):
+            return False
+        return np.abs(x - self.x).max() < NEAR * np.diff(self.x).min()
+
+    def at(self, x):
+        """Return the modes at nodes that are `near`, orthogonal there and without a mean."""
+        if np.array_equal(x, self.x) or not len(self.slaved):
+            return self
+        other = copy(self)
+        other.x, other._mass = x.copy(), hat_mass(x)
+        shapes = np.column_stack([np.interp(x, self.x, shape) for shape in self._shapes.T])
+        weight = other._mass.sum(axis=0)
+        shapes -= weight @ shapes / weight.sum()
+        square, turn = eigh(shapes.T @ other._mass @ shapes)
+        other._shapes = shapes @ (turn / np.sqrt(square)) @ turn.T
+        return other
+
+    def amounts(self, heights):
+        """Return the amounts of the modes in heights at the nodes."""
+        return self._shapes.T @ (self._mass @ heights)
+
+    def rises(self, moments):
+        """Return the rates of the amounts, m/s, for `SurfaceResponse.moments` of a rise."""
+        return self._shapes.T @ moments
+
+    def heights(self, amounts):
+        """Return the heights at the nodes that the modes make."""
+        return self._shapes @ amounts
+
+    def drift(self, speed):
+        """Return by how many radians the modes drift along the surface while they relax, (k,).
+
+        Args:
+            speed: of the rock along the surface, m/s.
+        """
+        width = np.diff(self.x)[:, None]
+        wave_number = np.sqrt((np.diff(self._shapes, axis=0) ** 2 / width).sum(axis=0))
+        return speed * wave_number / self.slaved
 
 
 @dataclass(frozen=True, eq=False)
@@ -151,22 +195,32 @@ class _Moment:
 
 
 class Slaving:
-    """Keeps the fast modes of a surface on their equilibrium through a march.
+    """Keeps the fast modes of a surface where they move with their equilibrium.
 
-    The equilibrium itself moves, as the interior does: its rate between the last two states is
-    what the slaved modes are let move with. Without that they would lag behind by rate / gamma.
+    The equilibrium h_eq moves, as the interior does. A mode h that obeys dh/dt = -gamma (h - h_eq)
+    and has forgotten its start lags behind it by its own rate over gamma; where h_eq grows as
+    exp(s t) that is h = h_eq gamma / (gamma + s). The rate of h_eq is that between the last states,
+    smoothed over the time that the mode takes to relax: the equilibrium is known but to some
+    error, which differences over less than that would make a larger error of the mode.
+
+    Short waves drift with the rock along the surface faster than they relax. This turns what a
+    correction leaves of an error, so that the mode takes a part of the correction alone.
 
     Args:
-        cut: rate above which modes are slaved, 1/s.
+        time: to be restored, s.
+        tolerance: error of the restored surface that can be borne, m.
 
     Attributes:
+        cut: rate above which modes are slaved, 1/s.
         modes: `SurfaceModes` in use.
+        last: the moment noted last; `passes` and `returns` set it.
     """
 
-    def __init__(self, cut):
-        self.cut, self.modes = cut, None
-        self._response = self._grid = None
-        self._age, self._last, self._rate = 0, None, None
+    def __init__(self, time, tolerance):
+        self._time, self._tolerance = time, tolerance
+        self.cut, self.modes = INTEGRABLE / time, None
+        self._found = self._response = None
+        self._steps, self._rate, self.last = 0, None, None
 
     def look(self, grid):
         """Take the mesh of the flow solved last; find the modes where that is due.
@@ -176,52 +230,86 @@ class Slaving:
         """
         if self._response is None or self._response.grid is not grid:
             self._response = SurfaceResponse(grid)
-        if self.modes is None or self._age >= REFRESH:
-            self.modes, self._age = SurfaceModes(self._response, self.cut), 0
-        self.modes = self.modes.at(grid.top.x)
+        x = grid.top.x
+        if self._found is None or self._steps >= REFRESH or not self._found.near(x):
+            self._found, self._steps = SurfaceModes(self._response, self.cut), 0
+        self.modes = self._found.at(x)
 
     def lift(self, flow):
-        """Return the heights at the top nodes that are missing from the equilibrium, m."""
-        return self.modes.lift(self._response.moments(flow.u), self._rate_at(self.modes.x))
+        """Return the heights at the top nodes by which to come nearer to the equilibrium, m."""
+        return self.modes.heights(self._share(flow) * self._missing(flow))
 
     def corrected(self, flow):
         """Return the flow as it would be with the slaved modes where they belong."""
-        return replace(flow, u=flow.u + self._response.flow(self.lift(flow)))
+        lift = self.modes.heights(self._missing(flow))
+        return replace(flow, u=flow.u + self._response.flow(lift))
 
     def passes(self, time, points, flow):
         """Note a moment; what has changed since the last tells the rate of the equilibrium.
 
-        It depends on the interior alone, so that no error of the surface feeds back.
+        It depends on the interior alone, but for how the rock drifts along the surface.
 
         Args:
             time: model time, s.
             points: of the surface line, shape (n, 2), m.
             flow: `Flow` below that surface.
         """
-        x = self.modes.x
-        moment = _Moment(time, points, x, self._response.rise(flow.u))
-        if self._last is not None and self._last.time != time:
-            self._rate = x, (self._rest(moment) - self._rest(self._last)) / (time - self._last.time)
-            self._age += 1
-        self._last = moment
-
-    def _rest(self, moment):
-        """Return the equilibrium of the slaved modes of now at a moment, at the nodes of now, m."""
-        x, mass = self.modes.x, self.modes.mass
-        rise = np.interp(x, moment.x, moment.rise)
-        still = np.zeros(len(x))
-        return self.modes.part(heights_on(moment.points, x)) + self.modes.lift(mass @ rise, still)
-
-    @property
-    def last(self):
-        """The moment noted last; `passes` and `returns` set it."""
-        return self._last
+        moment = _Moment(time, points, self.modes.x, self._response.rise(flow.u))
+        if self.last is None:
+            self._choose(flow)
+        elif self.last.time != time:
+            dt = time - self.last.time
+            new = (self._rest(moment) - self._rest(self.last)) / dt
+            if self._rate is not None:
+                old = self._read(*self._rate)
+                passed = self.modes.slaved * abs(dt)
+                new = old + self._share(flow) * passed / (1 + passed) * (new - old)
+            self._rate = moment.x, self.modes.heights(new)
+            self._steps += 1
+        self.last = moment
 
     def returns(self, moment):
-        """Go back to a moment, as after a trial step: what that told of the rate is kept."""
-        self._last, self._age = moment, 0
+        """Go back to a moment, as after a trial step: what that told of the rate is kept.
 
-    def _rate_at(self, x):
+        It is short for all but the fastest modes: of theirs it tells little.
+        """
+        modes = self.modes
+        told = self._read(*self._rate) * modes.slaved / modes.rates[-1]
+        self._rate = modes.x, modes.heights(told)
+        self.last, self._steps = moment, 0
+
+    def _rest(self, moment):
+        """Return the equilibrium of the slaved modes at a moment, (k,), m."""
+        modes = self.modes
+        rise = modes.amounts(np.interp(modes.x, moment.x, moment.rise))
+        return modes.amounts(heights_on(moment.points, modes.x)) + rise / modes.slaved
+
+    def _choose(self, flow):
+        """Slave what is so far from its equilibrium that it would grow out of all bounds."""
+        moments = self._response.moments(flow.u)
+        cut = self.modes.bearable(self.cut, moments, self._time, self._tolerance)
+        if cut < self.cut:
+            self.cut = cut
+            self.modes = self._found = SurfaceModes(self._response, cut)
+
+    def _missing(self, flow):
+        """Return the amounts of the modes that are missing from where they belong, m."""
+        modes = self.modes
+        return (modes.rises(self._response.moments(flow.u)) - self._own_rate()) / modes.slaved
+
+    def _own_rate(self):
+        """Return the rates that the amounts of the modes are to have, m/s."""
         if self._rate is None:
-            return np.zeros(len(x))
-        return np.interp(x, *self._rate)
+            return np.zeros(len(self.modes.slaved))
+        rate, rest = self._read(*self._rate), self._rest(self.last)
+        grows = rate * rest > 0
+        growth = np.divide(rate, rest, out=np.zeros(len(rate)), where=grows)
+        return rate / (1 + growth / self.modes.slaved)
+
+    def _read(self, x, heights):
+        """Return the amounts of the modes in heights at nodes of a mesh that may have gone."""
+        return self.modes.amounts(np.interp(self.modes.x, x, heights))
+
+    def _share(self, flow):
+        """Return the part of a correction that the modes take."""
+        return 1 / (1 + self.modes.drift(self._response.along(flow.u)) ** 2)
