@@ -5,6 +5,7 @@ from itertools import pairwise
 import numpy as np
 
 from restoration.advection import STOKES_SOLVES
+from restoration.layered import restorable
 from restoration.plan import active, time_label, unknowns
 from restoration.scene import WALLS, Table
 from restoration.seeding import count_points
@@ -58,7 +59,7 @@ def describe(loaded):
         "active": active(scene),
         "notes": list(scene.notes),
         "time_forecast_s": None,
-        "restorability": None,
+        "restorability": restorable(scene),
     }
 
 
@@ -102,6 +103,8 @@ def describe_text(loaded):
         f"(courant {scene.time.courant:g})",
         f"memory     about {about['memory_mb_about']} MB",
     ]
+    if scene.free:
+        lines.append(f"surface    {about['restorability']['verdict']}")
     lines += [f"active     {part}" for part in about["active"]]
     lines += [f"note       {note}" for note in scene.notes]
     lines += ["", "# the case with every default", loaded.resolved.rstrip()]

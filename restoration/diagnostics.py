@@ -3,7 +3,7 @@
 import numpy as np
 import shapely
 
-from restoration.lines import as_drawn
+from restoration.lines import as_drawn, surface_of
 from restoration.particles import OUTSIDE
 from restoration.transfer import FittedFields
 
@@ -34,6 +34,23 @@ def summary(distance):
         "mean_m": float(distance.mean()),
         "p99_m": float(np.percentile(distance, 99)),
         "max_m": float(distance.max()),
+    }
+
+
+def relief(lines):
+    """Return relief, m, and root mean square of the slope of a free surface, for the run record.
+
+    Args:
+        lines: `MovingLine`s; without a surface among them both are None.
+    """
+    surface = surface_of(lines)
+    if surface is None:
+        return {"surface_relief_m": None, "surface_rms_slope": None}
+    run, rise = np.diff(surface.points, axis=0).T
+    slope = np.sqrt(np.sum(rise**2 / run) / np.sum(run))
+    return {
+        "surface_relief_m": float(np.ptp(surface.points[:, 1])),
+        "surface_rms_slope": float(slope),
     }
 
 

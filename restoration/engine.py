@@ -12,6 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from restoration.advection import FROZEN, STAGES, STEPPERS
+from restoration.diagnostics import relief
 from restoration.errors import MeshError, SolveError
 from restoration.free_surface import FreeSurface
 from restoration.grid import Grid
@@ -112,6 +113,7 @@ class StokesEngine:
             "particles_born": self.born,
             "particles_left": dict(self.left),
             "particles_entered": dict(self.entered),
+            "surface_rate_per_s": self.surface.gamma if self.surface else None,
             "wall_leak_m2_per_s": self.grid.stokes.leak,
             "wall_by_part_s": {part: round(s, 3) for part, s in self.seconds.items()},
         }
@@ -132,6 +134,9 @@ class StokesEngine:
             "particles_entered": sum(self.entered.values()),
             "empty_cells": self.empty_cells,
             "held_on_wall": self.held_on_wall,
+            "surface_relief_m": relief(state.lines)["surface_relief_m"],
+            "surface_shift_m": self.surface_shift if self.surface else None,
+            "surface_fallen_m2": self.fallen if self.surface else None,
         }
 
     def start(self):

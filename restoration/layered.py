@@ -204,6 +204,9 @@ def surface_rate(scene, columns=COLUMNS):
     apart, for gamma varies slowly with them. All modes of the layers count: what
     decays inside is lost backward in the same way, though the surface is nearly always fastest.
 
+    A weak fault that reaches the surface has a mode of its own there, about as wide as the fault:
+    that of a half-space at a wavelength of twice its width.
+
     Args:
         scene: `scene.Scene`; the surface is taken as free, whatever its wall.
         columns: as `layers_of`.
@@ -213,7 +216,20 @@ def surface_rate(scene, columns=COLUMNS):
     held = None not in scene.walls["base"].velocity
     base = "no-slip" if held else "free-slip"
     stacks = layers_of(scene, columns)
-    return max(fastest_decay(stack, k, scene.gravity, base) for stack in stacks)
+    layered = max(fastest_decay(stack, k, scene.gravity, base) for stack in stacks)
+    return max([layered, *_outcrops(scene)])
+
+
+def _outcrops(scene):
+    """Return the decay rates of the faults that reach the surface, 1/s."""
+    rates = []
+    for fault in scene.faults:
+        points = np.concatenate([x.points for x in scene.lines if x.name == fault.name])
+        top = points[points[:, 1].argmax()]
+        if np.interp(top[0], *scene.outline.surface.T) - top[1] < fault.width:
+            rho, eta = scene.unit_density[fault.unit], scene.unit_viscosity[fault.unit]
+            rates.append(rho * scene.gravity * fault.width / (2 * np.pi * eta))
+    return rates
 
 
 def longest_way_back(marks):
@@ -242,6 +258,18 @@ def restorability(scene, noise=NOISE, tolerance=TOLERANCE):
     borne = max(0.0, math.log(tolerance / noise))
     horizon = borne / gamma
     return Restorability(gamma, growth, horizon, _verdict(gamma, way, borne, noise, tolerance))
+
+
+def restorable(scene):
+    """Return what `restorability` tells of a scene, as entries of the run record."""
+    plan = scene.surface
+    found = restorability(scene, plan.noise, plan.tolerance)
+    return {
+        "gamma_max_per_s": found.gamma,
+        "growth": found.growth,
+        "horizon_s": found.horizon,
+        "verdict": found.verdict,
+    }
 
 
 def _verdict(gamma, way, borne, noise, tolerance):

@@ -9,11 +9,12 @@ from pathlib import Path
 import numpy as np
 
 from restoration.canvas import time_text
-from restoration.diagnostics import compared, there_and_back, volume_by_rock
+from restoration.diagnostics import compared, relief, there_and_back, volume_by_rock
 from restoration.engine import StokesEngine
 from restoration.environment import versions
 from restoration.errors import RestorationError, StoppedError
 from restoration.figures import draw_section, draw_strip, draw_there_and_back
+from restoration.layered import restorable
 from restoration.lines import as_drawn
 from restoration.output import (
     Diagnostics,
@@ -42,6 +43,9 @@ COLUMNS = (
     "particles_entered",
     "empty_cells",
     "held_on_wall",
+    "surface_relief_m",
+    "surface_shift_m",
+    "surface_fallen_m2",
     "wall_s",
 )
 BUG = 1  # exit code of what is not a RestorationError
@@ -94,7 +98,9 @@ class Recorder:
         }
         self.cloud = ParticleSeries(self.folder / "particles.xdmf", frame)
         self.table = Diagnostics(self.folder / "diagnostics.csv", COLUMNS)
-        self.record |= engine.about()
+        self.record |= engine.about() | {"restorability": restorable(scene)}
+        if scene.free:
+            self.say(f"surface: {self.record['restorability']['verdict']}")
         self.say(
             f"{self.record['cells']} cells, {self.record['unknowns']} unknowns, "
             f"marks {', '.join(time_label(scene, mark) for mark in scene.time.marks)}"
@@ -251,6 +257,7 @@ class Recorder:
             work["wall_by_part_s"] |= {"output": round(self._output_s, 3)}
             self.record |= work
         if self._last is not None:
+            self.record |= relief(self._last.lines)
             self.record |= {
                 "particles": len(self._last.particles.x),
                 "particles_lost": self._last.particles.lost,
