@@ -66,6 +66,19 @@ def traction_load(v, traction, ds):
     return dot(traction, v) * ds
 
 
+def traction_residual(u, p, v, eta, rho, g, dx):
+    """Return the load of the tractions that the walls exert, from what is left of the equation.
+
+    Args:
+        u, p: solved velocity, m/s, and pressure, Pa.
+        v: test function of the velocity; where it is zero on a wall, that wall does not count.
+        eta, rho, g: viscosity, Pa s; density, kg/m^3; gravity, a vector, m/s^2.
+        dx: measure.
+    """
+    stress = 2 * eta * inner(strain_rate(u), strain_rate(v)) - p * div(v)
+    return (stress - rho * dot(g, v)) * dx
+
+
 def source_load(q, rate, length, dx):
     """Return the load that lets div(u) equal ``rate``, 1/s, in the form of `stokes_form`."""
     return -rate / length * q * dx

@@ -274,6 +274,135 @@ def _adaption(rows):
     return [("adaption of a mesh", "", "ratio to a Stokes solve", ("linear", "linear"), series)]
 
 
+def _relaxation(rows):
+    """Heights of the hill, how far the rows are off, and the errors in time."""
+    hills = [row for row in rows if "kyr" in row.parameters]
+    tens = [row for row in hills if row.parameters["gravity"] == 10]
+    table = _grouped(
+        tens, lambda r: f"computed, {r.parameters['where']}", _kyr, lambda r: abs(r.reference), ""
+    )
+    lines = {
+        f"{row.parameters['how']}, {row.parameters['where']}": (
+            row.parameters["times"],
+            np.abs(row.parameters["heights"]),
+            "-",
+        )
+        for row in tens
+    }
+    off = _grouped(
+        hills,
+        lambda r: (
+            f"{r.parameters['how']}, g = {r.parameters['gravity']:g}, {r.parameters['where']}"
+        ),
+        _kyr,
+        lambda r: max(100 * abs(r.relative_error), 1e-4),
+    )
+    ordered = [row for row in rows if "counts" in row.parameters]
+    errors = {
+        row.case: (row.parameters["counts"], row.parameters["errors"], "-") for row in ordered
+    }
+    log = ("log", "log")
+    return [
+        ("a hill and a trough of 7 km", "kyr", "m", ("linear", "log"), table | lines),
+        ("off the computed relaxation", "kyr", "per cent (the paper: 1.3)", ("linear", "log"), off),
+        ("error at the relaxation time", "steps", "relative", log, errors),
+    ]
+
+
+def _kyr(row):
+    return row.parameters["kyr"]
+
+
+def _sloshing(rows):
+    flat = [row for row in rows if "flat" in row.parameters]
+
+    def key(row):
+        return f"theta = {row.parameters['theta']:g}"
+
+    def step(row):
+        return row.parameters["dt"]
+
+    factors = _grouped(flat, key, step, lambda r: r.value, "")
+    factors |= _grouped(flat, lambda r: f"theory, {key(r)}", step, lambda r: r.reference)
+    linear = ("linear", "linear")
+    panels = [("factor of the tilt in a step", "step, years", "", linear, factors)]
+    for name, title in (("tilts", "tilt above the wave"), ("heights", "top left corner")):
+        some = {
+            f"{row.parameters['dt']} yr, {key(row)}": (
+                row.parameters["times"],
+                # what has left the picture tells no more
+                np.clip(row.parameters[name], -1e3, 1e3),
+                "-",
+            )
+            for row in rows
+            if name in row.parameters
+        }
+        panels.append((title, "years", "m", linear, some))
+    return panels
+
+
+def _plume(rows):
+    lines = {row.case: (row.parameters["times"], row.parameters["heights"], "-") for row in rows}
+    points = _grouped(
+        rows,
+        lambda r: r.source.split(",")[0],
+        lambda r: r.parameters["myr"],
+        lambda r: r.reference,
+        "",
+    )
+    return [("topography above a plume", "Myr", "m", ("linear", "linear"), lines | points)]
+
+
+def _by_case(rows, title):
+    """One point for every number: its metric across, its case as the label."""
+    shown = [row for row in rows if "case" in row.parameters]
+    metrics = list(dict.fromkeys(row.metric for row in shown))
+    series = _grouped(
+        shown,
+        lambda r: r.parameters["case"],
+        lambda r: 1 + metrics.index(r.metric),
+        lambda r: max(abs(r.value), 1e-18),
+        "",
+    )
+    told = ", ".join(f"{i}: {metric}" for i, metric in enumerate(metrics, 1))
+    return [(title, told, "", ("linear", "log"), series)]
+
+
+def _volume(rows):
+    return _by_case(rows, "areas")
+
+
+def _topography_rest(rows):
+    return _by_case(rows, "motion where nothing drives it")
+
+
+def _dynamic_topography(rows):
+    some = [row for row in rows if "how" in row.parameters]
+    series = _grouped(
+        some,
+        lambda r: f"{r.parameters['element']}, {r.parameters['how']}",
+        lambda r: r.parameters["squares"],
+        lambda r: max(abs(r.value), 1e-12),
+    )
+    title = "wave of the normal stress"
+    return [(title, "squares along a side", "relative error", ("log", "log"), series)]
+
+
+def _two_interface(rows):
+    panels = []
+    for metric in ("restored amplitude of the horizon", "growth of surface noise"):
+        some = [row for row in rows if row.metric == metric]
+        series = _grouped(
+            some,
+            lambda r: r.case.split(", ")[-1],
+            lambda r: r.parameters["gamma_t"],
+            lambda r: max(abs(r.value), 1e-20),
+            "",
+        )
+        panels.append((metric, "gamma times the duration", "", ("log", "log"), series))
+    return panels
+
+
 PANELS = {
     "rayleigh-taylor": _rayleigh_taylor,
     "falling-block": _falling_block,
@@ -286,4 +415,11 @@ PANELS = {
     "hydrostatic": _hydrostatic,
     "solvers": _solvers,
     "adaption": _adaption,
+    "surface-relaxation": _relaxation,
+    "sloshing": _sloshing,
+    "crameri-2": _plume,
+    "advective-volume": _volume,
+    "topography-rest": _topography_rest,
+    "dynamic-topography": _dynamic_topography,
+    "two-interface": _two_interface,
 }

@@ -7,9 +7,12 @@ from restoration.bench import (
     advection,
     gravity,
     pictures,
+    reliefs,
     rest,
     solutions,
     solving,
+    surfaces,
+    two_interface,
     van_keken,
 )
 from restoration.errors import CaseError
@@ -28,6 +31,13 @@ BENCHMARKS = {
     "hydrostatic": rest.run_hydrostatic,
     "solvers": solving.run_solvers,
     "adaption": solving.run_adaption,
+    "surface-relaxation": surfaces.run_surface_relaxation,
+    "sloshing": surfaces.run_sloshing,
+    "crameri-2": surfaces.run_crameri_2,
+    "advective-volume": reliefs.run_advective_volume,
+    "topography-rest": reliefs.run_topography_rest,
+    "dynamic-topography": reliefs.run_dynamic_topography,
+    "two-interface": two_interface.run_two_interface,
 }
 
 
