@@ -17,21 +17,30 @@ from restoration.errors import MeshError, SolveError
 from restoration.free_surface import FreeSurface
 from restoration.grid import Grid
 from restoration.inflow import cast_off, cut, extended, flowed_in, touching, wall_points
-from restoration.lines import begin, points_of, refined, surface_of, with_points
+from restoration.lines import (
+    begin,
+    points_of,
+    refined,
+    surface_of,
+    with_points,
+    with_rows,
+)
 from restoration.mesher import Mesher
 from restoration.particles import OUTSIDE, empty_cells, fill_cells, relocate, seed
 from restoration.plan import active
 from restoration.scene import WALLS, Line, Outline
 from restoration.state import State
 from restoration.stokes import Counts
-from restoration.surface import checked, fallen, line_area
+from restoration.surface import line_area, standing
 from restoration.surface_modes import SETTLINGS
+from restoration.units import show
 
 # A horizon is kept this many times finer than the mesh, see `lines.refined`.
 LINE_POINTS_PER_CELL = 4
 LINE_POINTS_PER_CELL_AT_TURNS = 32
 SURFACE_POINTS_PER_CELL = 8  # finer than the particles, which are a quarter of a square apart
-STEEPEST = 2.0  # slope of a surface that stands; what becomes steeper falls
+MOST_FALLEN = 1e-3  # of the section, that may fall from a surface in a step
+CLOSEST_PER_CELL = 64  # vertices that a cliff has pressed together nearer than this go
 TRIAL = 0.5  # of the relaxation time of the fastest mode: a step that tells a rate
 ON_WALL = 1e-9  # of the width: an end of a line this near to a side is on it
 ROCK_JUMP = 0.02  # of the section, that no rock wins or loses from one fitted mesh to the next
@@ -161,7 +170,7 @@ class StokesEngine:
         if line is None:
             return
         # a fitted mesh too: nodes on the line make chords, which lie below its crests
-        if not self.grid.follow(checked(line.points)):
+        if not self.grid.follow(standing(line.points)[0]):
             raise MeshError(
                 "the cells below the surface lose their shape: it is too steep for columns; "
                 "raise mesh.cells"
@@ -173,7 +182,7 @@ class StokesEngine:
         if line is None or self.fitted:
             return
         with self.timed("surface"):
-            followed = self.grid.follow(checked(line.points))
+            followed = self.grid.follow(standing(line.points)[0])
         if not followed:
             with self.timed("mesh"):
                 section, _ = self.mesher.mesh(lines, self.grid, self._last_flow)
@@ -328,7 +337,7 @@ class StokesEngine:
     def outline(self, lines):
         """Return the frame of the section at a moment."""
         surface, frame = surface_of(lines), self.scene.outline
-        return frame if surface is None else Outline(checked(surface.points), frame.base)
+        return frame if surface is None else Outline(standing(surface.points)[0], frame.base)
 
     def _with_ends(self, before, lines):
         """Return lines cut at the open sides where they have left, and drawn on where they lack.
@@ -366,19 +375,29 @@ class StokesEngine:
         return particles
 
     def _without_cliffs(self, lines):
-        """Return the lines with what is too steep of the surface fallen down."""
+        """Return the lines with what is too steep of the surface fallen down.
+
+        Raises:
+            MeshError: so much falls at once that it is no surface any more.
+        """
         surface = surface_of(lines)
-        slope = np.diff(surface.points[:, 1]) / np.diff(surface.points[:, 0])
-        if (np.diff(surface.points[:, 0]) > 0).all() and np.abs(slope).max() <= STEEPEST:
+        points, area = standing(surface.points)
+        if not area:
             return lines
-        points, area = fallen(surface.points, STEEPEST)
+        if area > MOST_FALLEN * self.start_area:
+            where = surface.points[np.abs(points - surface.points).max(axis=1).argmax()]
+            at = " and ".join(f"{n} = {show(float(v), 'length')}" for n, v in zip("xz", where))
+            raise MeshError(f"the surface overturns near {at}; nothing restores what lies below")
         self.fallen += area
-        return tuple(replace(x, points=points) if x is surface else x for x in lines)
+        kept = np.r_[True, np.diff(points[:, 0]) > self.cell_size / CLOSEST_PER_CELL]
+        kept[[0, -1]] = True
+        upright = with_rows(replace(surface, points=points), kept)
+        return tuple(upright if x is surface else x for x in lines)
 
     def _with_area(self, lines, area):
         """Return the lines with the surface moved up or down as a whole to an area below it."""
         surface = surface_of(lines)
-        points = checked(surface.points).copy()
+        points = surface.points.copy()
         shift = (area - line_area(points)) / np.ptp(points[:, 0])
         self.surface_shift += abs(shift)
         points[:, 1] += shift

@@ -10,6 +10,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from restoration.errors import ParticleError
+from restoration.lines import with_rows
 from restoration.particles import OUTSIDE, Particles, joined
 from restoration.scene import WALLS
 
@@ -214,7 +215,7 @@ def cut(line, left, right):
     if len(inside) == len(x):
         return line
     first, last = inside[0], inside[-1]
-    new = _rows(line, slice(first, last + 1))
+    new = with_rows(line, slice(first, last + 1))
     if last + 1 < len(x):
         new = _ended(new, _crossing(line.points[last], line.points[last + 1], left, right), -1)
     if first > 0:
@@ -242,14 +243,9 @@ def extended(line, walls, spacing):
             continue
         target = np.array([x, line.points[end, 1]])
         if len(line.points) > 2 and np.linalg.norm(line.points[inner] - target) < spacing:
-            line = _rows(line, slice(1, None) if end == 0 else slice(None, -1))
+            line = with_rows(line, slice(1, None) if end == 0 else slice(None, -1))
         line = _ended(line, target, end)
     return line
-
-
-def _rows(line, rows):
-    """Return a line with some of its vertices."""
-    return replace(line, points=line.points[rows], added=line.added[rows], way=line.way[rows])
 
 
 def _ended(line, point, end):

@@ -69,6 +69,11 @@ def with_points(lines, points):
     return tuple(replace(line, points=part) for line, part in zip(lines, moved, strict=True))
 
 
+def with_rows(line, rows):
+    """Return a line with some of its vertices."""
+    return replace(line, points=line.points[rows], added=line.added[rows], way=line.way[rows])
+
+
 def refined(lines, longest, shortest, time, dt):
     """Return the lines with vertices added where they are long or turn, and removed again.
 

@@ -16,7 +16,7 @@ from restoration.lines import spaced, surface_of
 from restoration.particles import OUTSIDE
 from restoration.scene import Outline
 from restoration.seeding import graded
-from restoration.surface import checked, heights_on
+from restoration.surface import heights_on, standing
 
 ASIDE = 1e-4  # of the height: where the rocks on both sides of a line are asked for
 
@@ -84,9 +84,7 @@ class Mesher:
             if air:
                 top = surface[:, 1].max() + air.thickness
                 air = top, max(1, round(air.thickness * self.scene.cells[1] / self._height))
-            self._base = section_mesh(
-                surface, self.scene.outline.base, self.scene.cells, cell, air
-            )
+            self._base = section_mesh(surface, self.scene.outline.base, self.scene.cells, cell, air)
         return self._base
 
     @property
@@ -100,13 +98,13 @@ class Mesher:
             return self.scene.outline.surface
         left, right = self.scene.outline.surface[[0, -1], 0]
         x = np.linspace(left, right, self.scene.cells[0] + 1)
-        return np.column_stack([x, heights_on(checked(line.points), x)])
+        return np.column_stack([x, heights_on(standing(line.points)[0], x)])
 
     def _fitted(self, lines):
         outline, plan = self.scene.outline, self.scene.mesh.refine
         surface = surface_of(lines)
         if surface is not None:
-            outline = Outline(checked(surface.points), outline.base)
+            outline = Outline(standing(surface.points)[0], outline.base)
         where = plan.where if plan else ()
         follow = [line.points for line in lines if line.name in self.contacts]
         if "faults" in where:

@@ -11,12 +11,11 @@ from scipy.sparse.linalg import splu
 
 from forms.mesh_motion import spread_form
 from meshes.box import AIR
-from restoration.errors import MeshError
-from restoration.units import show
 
 GROUND = 9  # tag of the inner facets between rock and air
 # A mesh is made anew where a cell has lost more than this part of its shape.
 WORST_SHAPE = 0.15
+STEEPEST = 2.0  # slope of a surface that stands; what becomes steeper falls
 LEAST_RUN = 1e-6  # of the width, between two points of a line that was made upright
 LEAST_FALL, MOST_FALLS = 1e-3, 2000  # of the longest segment; sweeps
 
@@ -26,23 +25,7 @@ def line_area(points):
     return float(np.trapz(points[:, 1], points[:, 0]))
 
 
-def checked(points):
-    """Return the points of a surface line.
-
-    Raises:
-        MeshError: it overhangs.
-    """
-    step = np.diff(points[:, 0])
-    if not (step > 0).all():
-        at = points[int(np.argmin(step))]
-        raise MeshError(
-            f"the surface overhangs at x = {show(float(at[0]), 'length')}, "
-            f"z = {show(float(at[1]), 'length')}; no mesh with vertical columns follows it"
-        )
-    return points
-
-
-def fallen(points, steepest):
+def standing(points, steepest=STEEPEST):
     """Return a surface line without cliffs: what is steeper falls, and what overhangs is upright.
 
     The ends of a segment that is too steep move towards each other, the area below kept, again and
@@ -55,6 +38,9 @@ def fallen(points, steepest):
     Returns:
         The line, and the area that fell, m^2.
     """
+    run, rise = np.diff(points, axis=0).T
+    if (run > 0).all() and (np.abs(rise) <= steepest * run).all():
+        return points, 0.0
     x, z = points.T.copy()
     if not (np.diff(x) > 0).all():
         low, high = np.minimum.accumulate(x[::-1])[::-1], np.maximum.accumulate(x)
