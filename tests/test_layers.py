@@ -88,6 +88,7 @@ ORDER = {
         "solving",
         "surfaces",
         "reliefs",
+        "reverse_surface",
         "pictures",
         "suite",
     ],

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from restoration.bench import reverse_surface
 from restoration.bench.exact import two_layer_growth_rate
 from restoration.bench.reference import RAMBERG, sinking_block_velocity
 from restoration.page import Page, style
@@ -422,4 +423,5 @@ PANELS = {
     "topography-rest": _topography_rest,
     "dynamic-topography": _dynamic_topography,
     "two-interface": _two_interface,
+    "reverse-surface": reverse_surface.panels,
 }

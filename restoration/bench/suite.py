@@ -9,6 +9,7 @@ from restoration.bench import (
     pictures,
     reliefs,
     rest,
+    reverse_surface,
     solutions,
     solving,
     surfaces,
@@ -38,6 +39,7 @@ BENCHMARKS = {
     "topography-rest": reliefs.run_topography_rest,
     "dynamic-topography": reliefs.run_dynamic_topography,
     "two-interface": two_interface.run_two_interface,
+    "reverse-surface": reverse_surface.run_reverse_surface,
 }
 
 
