@@ -39,6 +39,7 @@ RECORD = {
     "volume_by_rock_change": (),
     "surface_rms_slope": (),
     "surface_relief_m": (),
+    "dynamic_topography_m": (),
     "there_and_back": ("mean_m", "p99_m", "max_m"),
     "horizons": (),
     "restorability": ("gamma_max_per_s", "growth", "horizon_s", "verdict"),

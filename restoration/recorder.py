@@ -24,6 +24,7 @@ from restoration.output import (
     write_record,
 )
 from restoration.plan import counts_back, time_label
+from restoration.topography import dynamic_topography
 from restoration.units import MYR, show
 from restoration.writing import disk_faults
 
@@ -135,6 +136,7 @@ class Recorder:
         before = self._marks[-1].time if self._marks else None
         self._last = state
         self._volumes.append(volume_by_rock(self.scene, state.grid, state.particles))
+        self._note_topography(state)
         self._marks.append(replace(state, flow=None, grid=None))  # large, and not compared
         self._frame(state)
         myr = state.time / MYR
@@ -227,6 +229,12 @@ class Recorder:
                 "lost": (~particles.inside).astype(np.int16),
             }
             self.cloud.write(self.elapsed, particles.x, data, state.time)
+
+    def _note_topography(self, state):
+        """Note the relief that a surface of free slip would have at this mark if it were free."""
+        found = dynamic_topography(self.scene, state.grid, state.flow)
+        if found is not None:
+            self.record.setdefault("dynamic_topography_m", []).append(float(np.ptp(found[1])))
 
     def compare(self):
         """Compare the marks, and draw them side by side and against where the run began."""
