@@ -304,7 +304,7 @@ def _relaxation(rows):
     }
     log = ("log", "log")
     return [
-        ("a hill and a trough of 7 km", "kyr", "m", ("linear", "log"), table | lines),
+        ("a hill and a trough of 7 km", "kyr", "m", ("linear", "linear"), table | lines),
         ("off the computed relaxation", "kyr", "per cent (the paper: 1.3)", ("linear", "log"), off),
         ("error at the relaxation time", "steps", "relative", log, errors),
     ]
@@ -330,15 +330,15 @@ def _sloshing(rows):
     for name, title in (("tilts", "tilt above the wave"), ("heights", "top left corner")):
         some = {
             f"{row.parameters['dt']} yr, {key(row)}": (
-                row.parameters["times"],
+                np.array(row.parameters["times"]) / 1e3,
                 # what has left the picture tells no more
-                np.clip(row.parameters[name], -1e3, 1e3),
+                np.where(np.abs(row.parameters[name]) < 400, row.parameters[name], np.nan),
                 "-",
             )
             for row in rows
             if name in row.parameters
         }
-        panels.append((title, "years", "m", linear, some))
+        panels.append((title, "kyr", "m", linear, some))
     return panels
 
 
@@ -365,8 +365,8 @@ def _by_case(rows, title):
         lambda r: max(abs(r.value), 1e-18),
         "",
     )
-    told = ", ".join(f"{i}: {metric}" for i, metric in enumerate(metrics, 1))
-    return [(title, told, "", ("linear", "log"), series)]
+    series |= {f"{i}: {metric}": ([], [], "line") for i, metric in enumerate(metrics, 1)}
+    return [(title, "number in the list", "relative", ("linear", "log"), series)]
 
 
 def _volume(rows):

@@ -270,10 +270,12 @@ def _hills(name, gravity, how, ran, squares, quick, held=None):
 
 def _orders_in_time(name, quick):
     """Orders of the schemes with the weight of the moved surface counted for half the step."""
-    ways = [("euler", 0.5, 70.0, 2), ("midpoint", 0.5, 70.0, 2)]
+    # a relief of 7 m: the mesh of the step's start is wrong by its slope, to first order
+    small = 7.0
+    ways = [("euler", 0.5, small, 2), ("midpoint", 0.5, small, 2)]
     if not quick:
         ways += [("midpoint", 0.5, HILL, 2), ("euler", 0.5, HILL, None)]
-        ways += [("euler", 0.0, 70.0, 1), ("midpoint", 0.0, 70.0, 2)]
+        ways += [("euler", 0.0, small, 1), ("midpoint", 0.0, small, 2)]
     counts = (4, 8, 16)
     exact = {}
     for scheme, theta, amplitude, order in ways:
@@ -403,7 +405,7 @@ def theory_of_tilt(dt, theta):
 def run_sloshing(quick):
     """Sloshing surface: which steps are stable, and where the surface goes (paper, appendix E)."""
     name = "sloshing"
-    squares, steps = (12, 6) if quick else (25, 60)
+    squares, steps = (12, 6) if quick else (25, 30)
     yield from _factors(name, squares, quick)
     if not quick:
         yield _threshold(name, squares)
@@ -477,9 +479,9 @@ def _stable_and_not(name, squares, steps, quick):
 def _corner(name, quick):
     """Height of the top left corner through time, nothing but the wave moving it."""
     last, squares = (0.05, 12) if quick else (0.5, 25)
-    ways = (1250, 0.0), (2500, 0.0), (3900, 0.0), (5000, 0.5), (10000, 0.5), (25000, 0.5)
+    ways = (2500, 0.0), (5000, 0.5), (10000, 0.5), (25000, 0.5)
     small = None
-    for dt, theta in ways[3:4] if quick else ways:
+    for dt, theta in ways[1:2] if quick else ways:
         ran = course(sloshing(dt, round(last * 1e6 / dt), theta, squares=squares))
         years, heights = ran.times / YEAR, ran.ends[:, 0] - BOX
         small = small or (years, heights)
@@ -495,8 +497,8 @@ def _corner(name, quick):
                 f"corner after {when:g} Myr, m",
                 heights[at[0]],
                 reference,
-                # a surface that begins flat is far from its rest, and long steps overshoot it
-                bound=1e-2 if dt <= 10000 and when >= 0.05 else None,
+                # a surface that begins flat is far from its rest, and the longest steps overshoot
+                bound=1e-2 if dt <= 10000 else None,
                 source=EXACT.replace("relaxation", "flow"),
                 parameters=parameters,
                 **ran.size,
