@@ -225,7 +225,7 @@ def _small_hill(name, quick):
 def _large_hill(name, quick):
     last = 15 if quick else 50
     for gravity in (10.0,) if quick else (10.0, 9.81):
-        for squares in (8,) if quick else (6, 8, 16) if gravity == 10 else (16,):
+        for squares in (8,) if quick or gravity != 10 else (6, 8, 16):
             marks = np.arange(0, last + 1, 5) * KYR
             ran = course(hill(gravity, HILL, squares, marks, steps=1 if quick else 2))
             yield from _hills(name, gravity, f"fitted, {squares} rows", ran, squares, quick)
@@ -275,7 +275,6 @@ def _orders_in_time(name, quick):
     ways = [("euler", 0.5, small, 2), ("midpoint", 0.5, small, 2)]
     if not quick:
         ways += [("midpoint", 0.5, HILL, 2), ("euler", 0.5, HILL, None)]
-        ways += [("euler", 0.0, small, 1), ("midpoint", 0.0, small, 2)]
     counts = (4, 8, 16)
     exact = {}
     for scheme, theta, amplitude, order in ways:
@@ -330,7 +329,6 @@ CORNER = {
     0.05: -140.4629149,
     0.1: -146.4984274,
     0.2: -157.6031928,
-    0.5: -195.6156891,
 }
 THRESHOLD = 4082.148833  # years: 2 / gamma of the tilt
 
@@ -405,7 +403,7 @@ def theory_of_tilt(dt, theta):
 def run_sloshing(quick):
     """Sloshing surface: which steps are stable, and where the surface goes (paper, appendix E)."""
     name = "sloshing"
-    squares, steps = (12, 6) if quick else (25, 30)
+    squares, steps = (12, 6) if quick else (25, 20)
     yield from _factors(name, squares, quick)
     if not quick:
         yield _threshold(name, squares)
@@ -478,7 +476,7 @@ def _stable_and_not(name, squares, steps, quick):
 
 def _corner(name, quick):
     """Height of the top left corner through time, nothing but the wave moving it."""
-    last, squares = (0.05, 12) if quick else (0.5, 25)
+    last, squares = (0.05, 12) if quick else (0.2, 25)
     ways = (2500, 0.0), (5000, 0.5), (10000, 0.5), (25000, 0.5)
     small = None
     for dt, theta in ways[1:2] if quick else ways:
