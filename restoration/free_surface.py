@@ -62,7 +62,10 @@ class FreeSurface:
     def _begin(self, time, mark, rate):
         if self._leg == mark:
             return
-        self._leg, self.slaving, self.growth = mark, None, None
+        self._leg = mark
+        if mark < time and self.growth is not None:
+            return  # goes on backward as in the leg before
+        self.slaving, self.growth = None, None
         if mark > time:
             return
         span = time_to_restore(self.marks, mark)

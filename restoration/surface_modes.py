@@ -126,20 +126,20 @@ class SurfaceModes:
         chosen = self.rates > cut
         return self.rates[chosen], self._all[:, chosen]
 
-    def bearable(self, cut, moments, growing, tolerance):
-        """Return the rate, at most ``cut``, above which modes cannot be integrated backward, 1/s.
+    def bearable(self, cut, least, moments, remaining, tolerance):
+        """Return the rate above which modes cannot be integrated backward, 1/s.
 
         Args:
-            cut: 1/s.
+            cut, least: between which it is to be, 1/s.
             moments: of the rise of the surface, see `SurfaceResponse.moments`.
-            growing: how long the modes would grow, s.
+            remaining: how long the modes will grow, s.
             tolerance: up to which what is missing from the equilibrium may grow, m.
         """
-        rates, shapes = self._above(LEAST / growing)
+        rates, shapes = self._above(least)
         slow = rates <= cut
         rates, shapes = rates[slow], shapes[:, slow]
         missing = np.abs(shapes.T @ moments) / rates * np.abs(shapes).max(axis=0)
-        grown = rates[missing * np.exp(rates * growing) > tolerance]
+        grown = rates[missing * np.exp(rates * remaining) > tolerance]
         return np.nextafter(grown[0], 0) if len(grown) else cut
 
     def near(self, x):
@@ -219,7 +219,7 @@ class Slaving:
     def __init__(self, time, tolerance):
         self._time, self._tolerance = time, tolerance
         self.cut, self.modes = INTEGRABLE / time, None
-        self._found = self._response = None
+        self._found = self._response = self._began = None
         self._steps, self._rate, self.last = 0, None, None
 
     def look(self, grid):
@@ -255,9 +255,9 @@ class Slaving:
             flow: `Flow` below that surface.
         """
         moment = _Moment(time, points, self.modes.x, self._response.rise(flow.u))
-        if self.last is None:
-            self._choose(flow)
-        elif self.last.time != time:
+        if self._steps == 0:
+            self._choose(time, flow)
+        if self.last is not None and self.last.time != time:
             dt = time - self.last.time
             new = (self._rest(moment) - self._rest(self.last)) / dt
             if self._rate is not None:
@@ -284,13 +284,16 @@ class Slaving:
         rise = modes.amounts(np.interp(modes.x, moment.x, moment.rise))
         return modes.amounts(heights_on(moment.points, modes.x)) + rise / modes.slaved
 
-    def _choose(self, flow):
+    def _choose(self, time, flow):
         """Slave what is so far from its equilibrium that it would grow out of all bounds."""
-        moments = self._response.moments(flow.u)
-        cut = self.modes.bearable(self.cut, moments, self._time, self._tolerance)
+        self._began = time if self._began is None else self._began
+        moments, remaining = self._response.moments(flow.u), self._time - abs(time - self._began)
+        least = LEAST / self._time
+        cut = self.modes.bearable(self.cut, least, moments, remaining, self._tolerance)
         if cut < self.cut:
             self.cut = cut
-            self.modes = self._found = SurfaceModes(self._response, cut)
+            self._found = SurfaceModes(self._response, cut)
+            self.modes = self._found
 
     def _missing(self, flow):
         """Return the amounts of the modes that are missing from where they belong, m."""
