@@ -403,11 +403,10 @@ def theory_of_tilt(dt, theta):
 def run_sloshing(quick):
     """Sloshing surface: which steps are stable, and where the surface goes (paper, appendix E)."""
     name = "sloshing"
-    squares, steps = (12, 6) if quick else (25, 20)
-    yield from _factors(name, squares, quick)
+    yield from _factors(name, 12 if quick else 25, quick)
     if not quick:
-        yield _threshold(name, squares)
-    yield from _stable_and_not(name, squares, steps, quick)
+        yield _threshold(name, 25)
+    yield from _stable_and_not(name, *((12, 6) if quick else (16, 20)), quick)
     yield from _corner(name, quick)
 
 
@@ -476,7 +475,7 @@ def _stable_and_not(name, squares, steps, quick):
 
 def _corner(name, quick):
     """Height of the top left corner through time, nothing but the wave moving it."""
-    last, squares = (0.05, 12) if quick else (0.2, 25)
+    last, squares = (0.05, 12) if quick else (0.2, 16)
     ways = (2500, 0.0), (5000, 0.5), (10000, 0.5), (25000, 0.5)
     small = None
     for dt, theta in ways[1:2] if quick else ways:
@@ -562,7 +561,7 @@ def plume(squares, levels, steps, last=3.0):
 def run_crameri_2(quick):
     """Topography above a rising plume (Crameri et al. 2012, case 2)."""
     name = "crameri-2"
-    ways = ((10, 2, 8),) if quick else ((12, 2, 40), (12, 3, 40), (20, 3, 40))
+    ways = ((10, 2, 8),) if quick else ((12, 2, 20), (12, 3, 20), (20, 3, 20))
     for squares, levels, steps in ways:
         ran = course(plume(squares, levels, steps))
         heights = np.array([points[:, 1].max() for points in ran.surfaces]) - MANTLE - LID
