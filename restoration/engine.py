@@ -11,15 +11,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from restoration.advection import FROZEN, STAGES, STEPPERS
+from restoration.advection import STEPPERS
 from restoration.diagnostics import relief
 from restoration.errors import MeshError, SolveError
 from restoration.free_surface import FreeSurface
 from restoration.grid import Grid
-from restoration.inflow import cast_off, cut, extended, flowed_in, touching, wall_points
+from restoration.inflow import cast_off, cut, extended, flowed_in, touching
 from restoration.lines import (
     begin,
-    points_of,
     refined,
     surface_of,
     with_points,
@@ -30,6 +29,7 @@ from restoration.particles import OUTSIDE, empty_cells, fill_cells, relocate, se
 from restoration.plan import active
 from restoration.scene import WALLS, Line, Outline
 from restoration.state import State
+from restoration.step import Step
 from restoration.stokes import Counts
 from restoration.surface import line_area, standing
 from restoration.surface_modes import SETTLINGS
@@ -153,6 +153,10 @@ class StokesEngine:
         particles = self._settled(relocate(seed(self.scene), self.grid.index))
         return State(self.scene.time.marks[0], particles, self._first_lines(), grid=self.grid)
 
+    def taken_over(self, state):
+        """Return the state of another engine, on another mesh, as one of this."""
+        return State(state.time, self._nowhere(state.particles), state.lines)
+
     def _first_lines(self):
         lines = begin(self.scene.lines, self.cell_size / LINE_POINTS_PER_CELL)
         if not self.scene.free:
@@ -176,7 +180,7 @@ class StokesEngine:
                 "raise mesh.cells"
             )
 
-    def _stand(self, lines):
+    def stand(self, lines):
         """Move the mesh to where the surface is, or make a new one if its cells would suffer."""
         line = surface_of(lines)
         if line is None or self.fitted:
@@ -194,27 +198,27 @@ class StokesEngine:
             return state
         particles, refine = state.particles, self.scene.mesh.refine
         if self.fitted:
-            particles = self._fit(particles, state.lines)
+            particles = self.fit(particles, state.lines)
         elif refine and self._steps % refine.every == 0:
             if "velocity-gradient" in refine.where and self._last_flow is None:
-                self._last_flow = self._solve(particles, state.time)
+                self._last_flow = self.solve(particles, state.time)
             particles = self._adapt(particles, state.lines)
         else:
             particles = self._carried(particles, state.lines)
-        self._last_flow = self._solve(particles, state.time)
+        self._last_flow = self.solve(particles, state.time)
         return replace(state, particles=particles, flow=self._last_flow, grid=self.grid)
 
     def _carried(self, particles, lines):
         """Return the particles located in the mesh that follows the surface among the lines."""
         before = self.grid
-        self._stand(lines)
+        self.stand(lines)
         if self.grid is not before:
             particles = self._nowhere(particles)
         elif self.surface is None:
             return particles
         return relocate(particles, self.grid.index)
 
-    def _fit(self, particles, lines):
+    def fit(self, particles, lines):
         """Make a mesh that follows the lines; return the particles located in it."""
         with self.timed("mesh"):
             section, points = self.mesher.mesh(lines)
@@ -288,11 +292,11 @@ class StokesEngine:
             slaving: whether slaved modes of the surface move with their equilibrium.
         """
         dt = until - state.time
-        move = _Step(self, state, dt, scheme, slaving)
+        move = Step(self, state, dt, scheme, slaving)
         x = STEPPERS[scheme](move.start, move.velocity, dt)
         with self.timed("advect"):
             moved = move.parts(self._on_walls(x[: move.fixed]))
-            lines = self._with_ends(state.lines, with_points(state.lines, moved["lines"]))
+            lines = self.with_ends(state.lines, with_points(state.lines, moved["lines"]))
             lines = refined(
                 lines,
                 self.cell_size / LINE_POINTS_PER_CELL,
@@ -323,7 +327,7 @@ class StokesEngine:
             state, state.time - TRIAL / slaving.modes.rates[-1], "euler", slaving=False
         )
         at = self._placed(trial.particles, trial.lines)
-        flow = self._solve(at, trial.time)
+        flow = self.solve(at, trial.time)
         with self.timed("surface"):
             slaving.look(self.grid)
             slaving.passes(trial.time, surface_of(trial.lines).points, flow)
@@ -331,7 +335,7 @@ class StokesEngine:
 
     def _placed(self, particles, lines):
         """Return the particles located in a mesh for the lines where they are."""
-        place = self._fit if self.fitted else self._carried
+        place = self.fit if self.fitted else self._carried
         return place(particles, lines)
 
     def outline(self, lines):
@@ -339,7 +343,7 @@ class StokesEngine:
         surface, frame = surface_of(lines), self.scene.outline
         return frame if surface is None else Outline(standing(surface.points)[0], frame.base)
 
-    def _with_ends(self, before, lines):
+    def with_ends(self, before, lines):
         """Return lines cut at the open sides where they have left, and drawn on where they lack.
 
         Args:
@@ -386,7 +390,9 @@ class StokesEngine:
             return lines
         if area > MOST_FALLEN * self.start_area:
             where = surface.points[np.abs(points - surface.points).max(axis=1).argmax()]
-            at = " and ".join(f"{n} = {show(float(v), 'length')}" for n, v in zip("xz", where))
+            at = " and ".join(
+                f"{n} = {show(float(v), 'length')}" for n, v in zip("xz", where, strict=True)
+            )
             raise MeshError(f"the surface overturns near {at}; nothing restores what lies below")
         self.fallen += area
         kept = np.r_[True, np.diff(points[:, 0]) > self.cell_size / CLOSEST_PER_CELL]
@@ -408,7 +414,7 @@ class StokesEngine:
         slaving, lines, particles = self.surface.slaving, state.lines, state.particles
         for _ in range(settlings):
             particles = self._placed(particles, lines)
-            flow = self._solve(particles, state.time)
+            flow = self.solve(particles, state.time)
             with self.timed("surface"):
                 slaving.look(self.grid)
                 surface = surface_of(lines)
@@ -420,7 +426,7 @@ class StokesEngine:
                 lines = tuple(moved if line is surface else line for line in lines)
         return self.with_flow(State(state.time, particles, lines))
 
-    def _solve(self, particles, time, hats=None, lead=0.0, before=None):
+    def solve(self, particles, time, hats=None, lead=0.0, before=None):
         """Return the flow of particles in the mesh as it is.
 
         Args:
@@ -492,106 +498,7 @@ class StokesEngine:
 
     @contextmanager
     def timed(self, part):
+        """Count the time spent inside as that of a part of the run."""
         begin = time.perf_counter()
         yield
         self.seconds[part] += time.perf_counter() - begin
-
-
-class _Step:
-    """The rows that a stepper moves, and their velocity at its stages.
-
-    The rows are the particles, the points of the lines and, below a free surface, one row with the
-    area of the section, whose rate is the flux through the surface: integrated by the same stepper
-    it is kept to rounding where no wall is open.
-
-    Args:
-        engine: `StokesEngine`.
-        state: `State` with its flow.
-        dt: signed step, s.
-        scheme: name of the stepper.
-        slaving: whether slaved modes of the surface move with their equilibrium.
-
-    Attributes:
-        start: the rows, shape (rows, 2).
-        particles, fixed: number of particles, and of all rows but the area.
-    """
-
-    def __init__(self, engine, state, dt, scheme, slaving):
-        self.engine, self.state, self.dt, self.scheme = engine, state, dt, scheme
-        self.slaving = engine.surface.slaving if engine.surface and slaving else None
-        points = points_of(state.lines)
-        rows = {"particles": state.particles.x, "lines": points}
-        rows |= {
-            name: wall_points(name, engine.outline(state.lines), engine.spacing / 2)
-            for name in sorted(engine.open)
-        }
-        ends = np.cumsum([len(part) for part in rows.values()])
-        self._rows = dict(zip(rows, np.split(np.arange(ends[-1]), ends[:-1]), strict=True))
-        self.particles, self.fixed = ends[0], ends[-1]
-        surface = engine.surface
-        area = [[line_area(surface_of(state.lines).points), 0.0]] if surface else np.empty((0, 2))
-        self.lead = surface.lead(dt) if surface else 0.0
-        self.start = np.concatenate([*rows.values(), area])
-        self._stages = iter(STAGES[scheme])
-        self._flow, self._flow_grid, self._grid = None, None, state.grid
-        others = self.start[self.particles : self.fixed]
-        self._guess = np.r_[state.particles.cell, state.grid.index.guess(others)]
-
-    def parts(self, x):
-        """Return the rows of an array by name: particles, lines, and the open walls."""
-        return {name: x[rows] for name, rows in self._rows.items()}
-
-    def velocity(self, x):
-        """Return the velocity of the rows where they are, solving Stokes where the scheme asks."""
-        engine, state = self.engine, self.state
-        share, first = next(self._stages), self._flow is None
-        if first and not self.lead:
-            flow = state.flow
-        elif not first and self.scheme in FROZEN:
-            flow = self._flow
-        else:
-            flow = self._solved(x, state.time + share * self.dt)
-        if self.slaving and flow is not self._flow:
-            with engine.timed("surface"):
-                self.slaving.look(engine.grid)
-                flow = self.slaving.corrected(flow)
-        self._flow, self._flow_grid = flow, engine.grid
-        with engine.timed("advect"):
-            grid, rows = engine.grid, x[: self.fixed]
-            cell, hats = self._located(rows)
-            u = grid.sampler(grid.sampler.coefficients(flow.u), cell, hats)
-            if engine.surface:
-                u = np.vstack([u, [grid.top.flux(flow), 0.0]])
-        return u
-
-    def _solved(self, x, time):
-        engine, state = self.engine, self.state
-        at = replace(state.particles, x=x[: self.particles])
-        lines = with_points(state.lines, x[self._rows["lines"]])
-        lines = engine._with_ends(state.lines, lines)
-        if engine.fitted:
-            at = engine._fit(at, lines)
-            cell, hats = self._located(x[: self.fixed])
-        else:
-            engine._stand(lines)
-            cell, hats = self._located(x[: self.fixed])
-            at = replace(at, cell=cell[: self.particles])
-        before = self._flow_at if self._flow is not None and self.lead else None
-        return engine._solve(at, time, hats[: self.particles], self.lead, before)
-
-    def _flow_at(self, points):
-        """Return the velocity of the last stage at points, on the mesh it was solved on."""
-        grid = self._flow_grid
-        cell, hats = grid.index.locate(points, grid.index.guess(points))
-        return grid.sampler(grid.sampler.coefficients(self._flow.u), cell, hats)
-
-    def _located(self, x):
-        grid = self.engine.grid
-        if grid is not self._grid:
-            self._grid, self._guess = grid, grid.index.guess(x)
-        with self.engine.timed("advect"):
-            if self.engine.open:  # what has left goes on with the rock at the wall
-                x = self.engine.within(x)
-            cell, hats = grid.index.locate(x, self._guess)
-        self._guess = np.where(cell == OUTSIDE, self._guess, cell)
-        return cell, hats

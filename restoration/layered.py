@@ -205,7 +205,7 @@ def surface_rate(scene, columns=COLUMNS):
     decays inside is lost backward in the same way, though the surface is nearly always fastest.
 
     A weak fault that reaches the surface has a mode of its own there, about as wide as the fault:
-    that of a half-space at a wavelength of twice its width.
+    that of a half-space at a wavelength of its width (measured: 2/3 of that at 25 m, as much at 50 m).
 
     Args:
         scene: `scene.Scene`; the surface is taken as free, whatever its wall.
@@ -228,7 +228,7 @@ def _outcrops(scene):
         top = points[points[:, 1].argmax()]
         if np.interp(top[0], *scene.outline.surface.T) - top[1] < fault.width:
             rho, eta = scene.unit_density[fault.unit], scene.unit_viscosity[fault.unit]
-            rates.append(rho * scene.gravity * fault.width / (2 * np.pi * eta))
+            rates.append(rho * scene.gravity * fault.width / (4 * np.pi * eta))
     return rates
 
 

@@ -42,7 +42,8 @@ def march(state, engine, plan, every_step=(), at_marks=()):
 
     Args:
         state: `State` at the first mark.
-        engine: offers ``with_flow(state)``, ``stable_step(state, mark)`` and ``advance(state, until)``.
+        engine: offers ``with_flow(state)``, ``stable_step(state, mark)`` and
+            ``advance(state, until)``.
         plan: `scene.TimePlan`.
         every_step: functions of the state before and after a step.
         at_marks: functions of the number of the mark and the state there, from the first mark on.

@@ -30,7 +30,8 @@ def test_case_runs_coarse(path, tmp_path):
     assert code == 0
     assert record["ended_well"] is True
     assert record["particles_lost"] == 0
-    assert abs(record["area_change"]) < 1e-6
+    if record["surface_relief_m"] is None:
+        assert abs(record["area_change"]) < 1e-6
     assert record["worst_residual"] < 1e-8
     assert record["particles_born"] < 0.01 * record["particles"]
 
@@ -64,7 +65,8 @@ def test_demo_comes_back(tmp_path):
     assert record["there_and_back"]["mean_m"] < 14
     assert record["there_and_back"]["max_m"] < 143
     assert record["horizons"][0]["max_m"] < 50
-    assert abs(record["area_change"]) < 1e-6
+    if record["surface_relief_m"] is None:
+        assert abs(record["area_change"]) < 1e-6
     assert all(abs(change) < 1e-3 for change in record["volume_by_rock_change"].values())
     # as the fields see it at 6 Myr; below the horizon it is 1.3e-4 (docs/accuracy.md)
     assert all(abs(change) < 4e-3 for change in record["volume_by_rock_largest_change"].values())

@@ -60,6 +60,7 @@ ORDER = {
         "free_surface",
         "state",
         "diagnostics",
+        "step",
         "engine",
         "xdmf",
         "output",

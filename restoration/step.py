@@ -1,0 +1,111 @@
+"""One step of the engine: what is moved, and how fast it moves at every stage."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from restoration.advection import FROZEN, STAGES
+from restoration.inflow import wall_points
+from restoration.lines import points_of, surface_of, with_points
+from restoration.particles import OUTSIDE
+from restoration.surface import line_area
+
+
+class Step:
+    """The rows that a stepper moves, and their velocity at its stages.
+
+    The rows are the particles, the points of the lines and, below a free surface, one row with the
+    area of the section, whose rate is the flux through the surface: integrated by the same stepper
+    it is kept to rounding where no wall is open.
+
+    Args:
+        engine: `StokesEngine`.
+        state: `State` with its flow.
+        dt: signed step, s.
+        scheme: name of the stepper.
+        slaving: whether slaved modes of the surface move with their equilibrium.
+
+    Attributes:
+        start: the rows, shape (rows, 2).
+        particles, fixed: number of particles, and of all rows but the area.
+    """
+
+    def __init__(self, engine, state, dt, scheme, slaving):
+        self.engine, self.state, self.dt, self.scheme = engine, state, dt, scheme
+        self.slaving = engine.surface.slaving if engine.surface and slaving else None
+        points = points_of(state.lines)
+        rows = {"particles": state.particles.x, "lines": points}
+        rows |= {
+            name: wall_points(name, engine.outline(state.lines), engine.spacing / 2)
+            for name in sorted(engine.open)
+        }
+        ends = np.cumsum([len(part) for part in rows.values()])
+        self._rows = dict(zip(rows, np.split(np.arange(ends[-1]), ends[:-1]), strict=True))
+        self.particles, self.fixed = ends[0], ends[-1]
+        surface = engine.surface
+        area = [[line_area(surface_of(state.lines).points), 0.0]] if surface else np.empty((0, 2))
+        self.lead = surface.lead(dt) if surface else 0.0
+        self.start = np.concatenate([*rows.values(), area])
+        self._stages = iter(STAGES[scheme])
+        self._flow, self._flow_grid, self._grid = None, None, state.grid
+        others = self.start[self.particles : self.fixed]
+        self._guess = np.r_[state.particles.cell, state.grid.index.guess(others)]
+
+    def parts(self, x):
+        """Return the rows of an array by name: particles, lines, and the open walls."""
+        return {name: x[rows] for name, rows in self._rows.items()}
+
+    def velocity(self, x):
+        """Return the velocity of the rows where they are, solving Stokes where the scheme asks."""
+        engine, state = self.engine, self.state
+        share, first = next(self._stages), self._flow is None
+        if first and not self.lead:
+            flow = state.flow
+        elif not first and self.scheme in FROZEN:
+            flow = self._flow
+        else:
+            flow = self._solved(x, state.time + share * self.dt)
+        if self.slaving and flow is not self._flow:
+            with engine.timed("surface"):
+                self.slaving.look(engine.grid)
+                flow = self.slaving.corrected(flow)
+        self._flow, self._flow_grid = flow, engine.grid
+        with engine.timed("advect"):
+            grid, rows = engine.grid, x[: self.fixed]
+            cell, hats = self._located(rows)
+            u = grid.sampler(grid.sampler.coefficients(flow.u), cell, hats)
+            if engine.surface:
+                u = np.vstack([u, [grid.top.flux(flow), 0.0]])
+        return u
+
+    def _solved(self, x, time):
+        engine, state = self.engine, self.state
+        at = replace(state.particles, x=x[: self.particles])
+        lines = with_points(state.lines, x[self._rows["lines"]])
+        lines = engine.with_ends(state.lines, lines)
+        if engine.fitted:
+            at = engine.fit(at, lines)
+            cell, hats = self._located(x[: self.fixed])
+        else:
+            engine.stand(lines)
+            cell, hats = self._located(x[: self.fixed])
+            at = replace(at, cell=cell[: self.particles])
+        before = self._flow_at if self._flow is not None and self.lead else None
+        return engine.solve(at, time, hats[: self.particles], self.lead, before)
+
+    def _flow_at(self, points):
+        """Return the velocity of the last stage at points, on the mesh it was solved on."""
+        grid = self._flow_grid
+        cell, hats = grid.index.locate(points, grid.index.guess(points))
+        return grid.sampler(grid.sampler.coefficients(self._flow.u), cell, hats)
+
+    def _located(self, x):
+        grid = self.engine.grid
+        if grid is not self._grid:
+            self._grid, self._guess = grid, grid.index.guess(x)
+        with self.engine.timed("advect"):
+            if self.engine.open:  # what has left goes on with the rock at the wall
+                x = self.engine.within(x)
+            cell, hats = grid.index.locate(x, self._guess)
+        self._guess = np.where(cell == OUTSIDE, self._guess, cell)
+        return cell, hats
