@@ -307,12 +307,13 @@ class StokesEngine:
         if self.surface:
             lines = self._with_area(self._without_cliffs(lines), x[-1, 0])
         particles = replace(state.particles, x=moved["particles"])
+        with self.timed("advect"):
+            particles = self._through_walls(particles, lines, moved)
         if self.fitted:  # the mesh they will be in is yet to come
             return State(until, self._nowhere(particles), lines)
         if self.surface:
             particles = self._carried(particles, lines)
         with self.timed("advect"):
-            particles = self._through_walls(particles, lines, moved)
             particles = relocate(particles, self.grid.index)
         return State(until, particles, lines)
 

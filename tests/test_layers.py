@@ -90,6 +90,7 @@ ORDER = {
         "surfaces",
         "reliefs",
         "reverse_surface",
+        "graben",
         "pictures",
         "suite",
     ],

@@ -404,6 +404,22 @@ def _two_interface(rows):
     return panels
 
 
+def _graben(rows):
+    """Return the panels of the errors of the interfaces, numbered from the salt up."""
+    panels = []
+    for metric in ("mean", "max"):
+        chosen = [row for row in rows if row.parameters.get("metric") == metric]
+        first = [row for row in chosen if row.parameters["case"] == chosen[0].parameters["case"]]
+        numbers = [row.parameters["interface"] for row in first]
+        series = {"paper": (numbers, [row.parameters["paper_m"] for row in first], "")}
+        for case in dict.fromkeys(row.parameters["case"] for row in chosen):
+            found = [row.value for row in chosen if row.parameters["case"] == case]
+            series[case] = (numbers, found, "")
+        title = f"{metric} error of an interface"
+        panels.append((title, "interface, the surface last", "m", ("linear", "log"), series))
+    return panels
+
+
 PANELS = {
     "rayleigh-taylor": _rayleigh_taylor,
     "falling-block": _falling_block,
@@ -424,4 +440,5 @@ PANELS = {
     "dynamic-topography": _dynamic_topography,
     "two-interface": _two_interface,
     "reverse-surface": reverse_surface.panels,
+    "graben": _graben,
 }

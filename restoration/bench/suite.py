@@ -5,6 +5,7 @@ from pathlib import Path
 
 from restoration.bench import (
     advection,
+    graben,
     gravity,
     pictures,
     reliefs,
@@ -40,6 +41,7 @@ BENCHMARKS = {
     "dynamic-topography": reliefs.run_dynamic_topography,
     "two-interface": two_interface.run_two_interface,
     "reverse-surface": reverse_surface.run_reverse_surface,
+    "graben": graben.run_graben,
 }
 
 
