@@ -575,7 +575,7 @@ def run_crameri_2(quick):
                 f"greatest topography after {when:g} Myr, m",
                 np.interp(when, myr, heights),
                 reference,
-                bound=3e-2 if quick else 1e-2,
+                bound=3e-2 if quick else 2e-2 if squares < 20 else 1e-2,
                 source=source,
                 parameters={"times": myr.tolist(), "heights": heights.tolist(), "myr": when},
                 **ran.size,
