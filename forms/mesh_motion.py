@@ -1,6 +1,7 @@
 """Weak form of the motion of a mesh: what moves a wall is spread into the cells."""
 
-from ufl import CellVolume, dot, grad
+from ufl import dot, grad
+from ufl.geometry import JacobianDeterminant
 
 
 def spread_form(d, w, domain, dx):
@@ -14,4 +15,4 @@ def spread_form(d, w, domain, dx):
         domain: the mesh.
         dx: measure.
     """
-    return dot(grad(d), grad(w)) / CellVolume(domain) * dx
+    return dot(grad(d), grad(w)) / abs(JacobianDeterminant(domain)) * dx

@@ -17,6 +17,7 @@ from pathlib import Path
 from restoration.errors import CaseError, OutputError, SolveError, StoppedError
 from restoration.units import show
 
+ROUNDING = 1e-9  # of a number of steps, which is a quotient of times
 MOST_STEPS = 1_000_000  # to a mark; a flow that needs more is not what the case is about
 
 
@@ -33,7 +34,7 @@ def next_time(t, mark, stable):
             f"{show(t, 'time')} and {show(mark, 'time')}, at most {MOST_STEPS} are made; check "
             "viscosities and walls, or set nearer marks"
         )
-    n = ceil(n)
+    n = ceil(n * (1 - ROUNDING))
     return mark if n <= 1 else t + (mark - t) / n
 
 

@@ -60,7 +60,9 @@ def standing(points, steepest=STEEPEST):
             steep = max(steep, np.abs(excess).max(initial=0.0))
         if steep <= LEAST_FALL * steepest * run.max():
             break
-    return np.column_stack([x, z]), float(width @ np.abs(z - points[:, 1])) / 2
+    dz = np.abs(np.diff(points[:, 1]))
+    aside = np.abs(x - points[:, 0]) @ (np.r_[dz, 0] + np.r_[0, dz]) / 2
+    return np.column_stack([x, z]), float(aside + width @ np.abs(z - points[:, 1]) / 2)
 
 
 def heights_on(points, x):
