@@ -283,21 +283,10 @@ def _relaxation(rows):
         tens, lambda r: f"computed, {r.parameters['where']}", _kyr, lambda r: abs(r.reference), ""
     )
     lines = {
-        f"{row.parameters['how']}, {row.parameters['where']}": (
-            row.parameters["times"],
-            np.abs(row.parameters["heights"]),
-            "-",
-        )
+        _hill(row): (row.parameters["times"], np.abs(row.parameters["heights"]), "-")
         for row in tens
     }
-    off = _grouped(
-        hills,
-        lambda r: (
-            f"{r.parameters['how']}, g = {r.parameters['gravity']:g}, {r.parameters['where']}"
-        ),
-        _kyr,
-        lambda r: max(100 * abs(r.relative_error), 1e-4),
-    )
+    off = _grouped(hills, _hill, _kyr, lambda r: max(100 * abs(r.relative_error), 1e-4))
     ordered = [row for row in rows if "counts" in row.parameters]
     errors = {
         row.case: (row.parameters["counts"], row.parameters["errors"], "-") for row in ordered
@@ -308,6 +297,11 @@ def _relaxation(rows):
         ("off the computed relaxation", "kyr", "per cent (the paper: 1.3)", ("linear", "log"), off),
         ("error at the relaxation time", "steps", "relative", log, errors),
     ]
+
+
+def _hill(row):
+    p = row.parameters
+    return f"{p['how']}{'' if p['gravity'] == 10 else ', g = 9.81'}, {p['where']}"
 
 
 def _kyr(row):
