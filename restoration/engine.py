@@ -146,6 +146,7 @@ class StokesEngine:
             "surface_relief_m": relief(state.lines)["surface_relief_m"],
             "surface_shift_m": self.surface_shift if self.surface else None,
             "surface_fallen_m2": self.fallen if self.surface else None,
+            "surface_modes_slaved": self.surface.slaved if self.surface else None,
         }
 
     def start(self):

@@ -1,9 +1,8 @@
 """How a free surface is carried through time: which steps it bears, and what backward."""
 
-from itertools import pairwise
-
 import numpy as np
 
+from restoration.layered import longest_way_back
 from restoration.surface_modes import INTEGRABLE, Slaving, SurfaceResponse
 
 # Step times rate up to which the explicit schemes keep a relaxing surface from growing.
@@ -19,7 +18,7 @@ class FreeSurface:
     Attributes:
         gamma: fastest rate of the surface seen so far, 1/s; 0 before it was looked at.
         slaving: `Slaving` of the leg, or None where the surface is integrated.
-        growth: gamma T of the leg, T the time to restore; None forward.
+        growth: gamma T of the way back, T the longest between the marks; None forward.
     """
 
     def __init__(self, scene):
@@ -53,6 +52,11 @@ class FreeSurface:
             rate = min(rate, self.slaving.cut) if self.slaving else rate
         return self.plan.limit * longest / rate
 
+    @property
+    def slaved(self):
+        """Number of modes that are slaved now."""
+        return 0 if self.slaving is None or self.slaving.modes is None else len(self.slaving.modes.slaved)
+
     def lead(self, dt):
         """Return how far ahead the weight of the moved surface is to count, s; see `stabilise`."""
         if dt < 0 and self.plan.reverse == "stabilise":
@@ -68,22 +72,8 @@ class FreeSurface:
         self.slaving, self.growth = None, None
         if mark > time:
             return
-        span = time_to_restore(self.marks, mark)
+        span = longest_way_back(self.marks)
         self.growth = rate * span
         wanted = self.plan.reverse
         if wanted == "slave" or (wanted == "auto" and self.growth > INTEGRABLE):
             self.slaving = Slaving(span, self.plan.tolerance)
-
-
-def time_to_restore(marks, mark):
-    """Return the time of the march backward that passes or ends at a mark, s; 0 if none does."""
-    runs, longest = [[marks[0]]], 0.0
-    for before, after in pairwise(marks):
-        if after < before:
-            runs[-1].append(after)
-        else:
-            runs.append([after])
-    for run in runs:
-        if mark in run[1:]:
-            longest = max(longest, run[0] - run[-1])
-    return longest

@@ -47,6 +47,7 @@ COLUMNS = (
     "surface_relief_m",
     "surface_shift_m",
     "surface_fallen_m2",
+    "surface_modes_slaved",
     "wall_s",
 )
 BUG = 1  # exit code of what is not a RestorationError
