@@ -55,7 +55,8 @@ class FreeSurface:
     @property
     def slaved(self):
         """Number of modes that are slaved now."""
-        return 0 if self.slaving is None or self.slaving.modes is None else len(self.slaving.modes.slaved)
+        found = self.slaving is not None and self.slaving.modes is not None
+        return len(self.slaving.modes.slaved) if found else 0
 
     def lead(self, dt):
         """Return how far ahead the weight of the moved surface is to count, s; see `stabilise`."""

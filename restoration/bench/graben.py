@@ -17,6 +17,7 @@ SOURCE = "Schuh-Senlis et al. (2020), table 1"
 # Mean and greatest error of every interface in the paper, m, from the salt up, the surface last.
 PAPER_MEAN = (1.5, 1.7, 1.9, 2.1, 2.3, 2.4, 2.6, 2.7, 2.9)
 PAPER_MAX = (16.5, 7.2, 10.9, 9.8, 9.1, 8.6, 8.5, 7.1, 31.4)
+WIDTH, PROFILE = 6e3, 241  # m, and points of the profiles along it
 MEAN, MOST = 0.5, 6.25  # m: what is held to; the latter is one of the paper's finest cells
 FORWARD, BACKWARD, AGAIN = "[0 kyr, 35 kyr]", "[35 kyr, 0 kyr]", "[0 kyr, 35 kyr, 0 kyr]"
 # Across the finest cells of the paper, 6.25 m, at Courant number 0.0085 with 10 mm/yr for 35 kyr.
@@ -39,6 +40,18 @@ def _scene(cells, steps, marks):
     return load(CASE, [f"{name}={value}" for name, value in entries.items()]).scene
 
 
+def _profile(start, end, name):
+    """Return how much too high an interface came back along the section (paper, fig. 14)."""
+    x = np.linspace(0, WIDTH, PROFILE)
+    heights = []
+    for state in (start, end):
+        points = np.concatenate([q.points for q in state.lines if q.name == name])
+        points = points[np.argsort(points[:, 0], kind="stable")]
+        heights.append(np.interp(x, *points.T))
+    rise = np.round(heights[1] - heights[0], 3)
+    return {"x_km": np.round(x / 1e3, 3).tolist(), "rise_m": rise.tolist()}
+
+
 def _rows(case, forward, backward):
     """Yield the errors of a section that one scene deforms and another restores."""
     clock, engine = Clock(), StokesEngine(forward)
@@ -58,6 +71,7 @@ def _rows(case, forward, backward):
     distances = line_distances(as_drawn(start.lines), as_drawn(end.lines))
     lines = [line for line in distances if line["kind"] != "fault"]
     for i, line in enumerate(lines):
+        about_line = {"interface": i, "case": case} | _profile(start, end, line["name"])
         for metric, bound, paper in (("mean", MEAN, PAPER_MEAN[i]), ("max", MOST, PAPER_MAX[i])):
             yield Row(
                 name,
@@ -66,7 +80,7 @@ def _rows(case, forward, backward):
                 line[f"{metric}_m"],
                 bound=bound,
                 source=SOURCE,
-                parameters={"interface": i, "paper_m": paper, "metric": metric, "case": case},
+                parameters=about_line | {"paper_m": paper, "metric": metric},
             )
     particles = there_and_back(end.particles)[1]
     yield Row(name, case, "mean error of the particles, m", particles["mean_m"])

@@ -411,6 +411,15 @@ def _graben(rows):
             series[case] = (numbers, found, "")
         title = f"{metric} error of an interface"
         panels.append((title, "interface, the surface last", "m", ("linear", "log"), series))
+    series = {
+        row.case.removeprefix(f"{row.parameters['case']}, "): (
+            row.parameters["x_km"],
+            row.parameters["rise_m"],
+            "line",
+        )
+        for row in first
+    }
+    panels.append(("came back too high by", "distance, km", "m", ("linear", "linear"), series))
     return panels
 
 
