@@ -70,6 +70,7 @@ class Grid:
             scene.solver,
             counts,
             self.top,
+            self.fields.on_facets,
         )
         self.sampler = VelocitySampler(self.spaces)
         self._share = {"triangle": 4, "quadrilateral": 1}[section.cell] * (3 if pair.split else 1)

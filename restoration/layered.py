@@ -205,7 +205,8 @@ def surface_rate(scene, columns=COLUMNS):
     decays inside is lost backward in the same way, though the surface is nearly always fastest.
 
     A weak fault that reaches the surface has a mode of its own there, about as wide as the fault:
-    that of a half-space at a wavelength of its width (measured: 2/3 of that at 25 m, as much at 50 m).
+    that of a half-space at a wavelength of its width (measured: 2/3 of that at 25 m, as much at
+    50 m).
 
     Args:
         scene: `scene.Scene`; the surface is taken as free, whatever its wall.

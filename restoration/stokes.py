@@ -82,6 +82,8 @@ class StokesProblem:
         solver: `solvers.SolverPlan`; None for the default.
         counts: `Counts` to go on with; None begins anew.
         top: `surface.Top` of a free surface whose weight when moved may count, else None.
+        on_facets: density and viscosity as integrals over facets read them; None where those are
+            ``rho`` and ``eta``.
 
     Attributes:
         counts: what was done so far.
@@ -102,6 +104,7 @@ class StokesProblem:
         solver=None,
         counts=None,
         top=None,
+        on_facets=None,
     ):
         self.spaces, self.section, self.eta0, self.steady = spaces, section, eta0, steady
         self.closed, self.top = closed, top
@@ -125,7 +128,7 @@ class StokesProblem:
         name = choose_solver(solver, section.dim, spaces.unknowns)
         if closed and name == "direct":
             self.bcs = [*self.bcs, pressure_pin(spaces)]
-        self._make_forms(rho, eta, walls, gravity)
+        self._make_forms(rho, eta, on_facets or (rho, eta), walls, gravity)
         self.A = fem.petsc.create_matrix(self.a)
         self.b = fem.petsc.create_vector(self.load)
         self.x, self.r = self.b.duplicate(), self.b.duplicate()
@@ -176,11 +179,12 @@ class StokesProblem:
         """Return the value of a form on all ranks."""
         return self._comm.allreduce(fem.assemble_scalar(form), op=MPI.SUM)
 
-    def _make_forms(self, rho, eta, walls, gravity):
+    def _make_forms(self, rho, eta, on_facets, walls, gravity):
         spaces, section = self.spaces, self.section
+        facet_rho, facet_eta = on_facets
         trial, test = ufl.TrialFunctions(spaces.W), ufl.TestFunctions(spaces.W)
         a = stokes_form(*trial, *test, eta, self._length, spaces.dx)
-        slip = wall_form(trial, test, eta, self._length, walls, section, spaces)
+        slip = wall_form(trial, test, facet_eta, self._length, walls, section, spaces)
         a = a if slip is None else a + slip
         down = np.zeros(section.dim)
         down[-1] = -gravity / self.eta0
@@ -192,10 +196,10 @@ class StokesProblem:
             self._before = fem.Function(fem.VectorFunctionSpace(section.mesh, ("Lagrange", 2)))
             self.column = fem.Function(spaces.H)
             top = self.top
-            weight = lambda u: stabilisation(u, test[0], rho, down, top.n)  # noqa: E731
+            weight = lambda u: stabilisation(u, test[0], facet_rho, down, top.n)  # noqa: E731
             a += self._lead * top.over(weight(trial[0]))
             load += self._lead * top.over(weight(self._before))
-            on_top = column_weight(test[0], rho, down, top.n, self.column)
+            on_top = column_weight(test[0], facet_rho, down, top.n, self.column)
             self._column_load = fem.form(top.over(on_top))
         load += source_load(test[1], self._leak, self._length, spaces.dx)
         push = wall_load(test[0], self.eta0, walls, section, spaces, self._wall_values)

@@ -52,6 +52,8 @@ class RockFields:
         rho: density, a Function, kg/m^3; in the air that of the rock goes on.
         density: with that of the air, a UFL expression, kg/m^3.
         eta: viscosity over the reference, a UFL expression.
+        on_facets: (density, eta) as integrals over facets can read them: values at the quadrature
+            points of cells are not there, so that the means of the cells stand for them.
     """
 
     def __init__(self, spaces, index, density, viscosity, transfer, air=None):
@@ -64,15 +66,13 @@ class RockFields:
             space["linear"] = fem.FunctionSpace(spaces.section.mesh, (family, 1))
         self.rho = fem.Function(space[transfer.density], name="density")
         self.theta = fem.Function(space[transfer.viscosity], name="theta")
-        self.density, self.eta = self.rho, VISCOSITY_OF_MEAN[transfer.mean](self.theta)
         self._air = air
         self.in_air = np.zeros(len(spaces.h_nodes), bool)
         if air:
             self.in_air = spaces.section.regions == AIR
-            above = fem.Function(spaces.D)
-            above.x.array[:] = self.in_air
-            self.density = (1 - above) * self.rho + above * air[0]
-            self.eta = (1 - above) * self.eta + above * air[1]
+        self._cell_means = {}  # by what they are the means of
+        self.density, self.eta = self._with_air(self.rho, self.theta)
+        self.on_facets = self._with_air(*map(self._traced, (self.rho, self.theta)))
         cell = getattr(basix.CellType, spaces.section.cell)
         points, _ = basix.make_quadrature(cell, spaces.degree)
         hats = basix.create_element(basix.ElementFamily.P, cell, 1).tabulate(0, points)
@@ -100,6 +100,24 @@ class RockFields:
         cloud = x, cell, weights, unit, area
         self.rho.x.array[:] = self._values(self.transfer.density, 0, hats, *cloud)
         self.theta.x.array[:] = self._values(self.transfer.viscosity, 1, hats, *cloud)
+        for values, means in self._cell_means.items():
+            means.x.array[:] = cell_means(values)
+
+    def _traced(self, values):
+        """Return a function that has values on facets: itself, or the means of its cells."""
+        if values.function_space != self.spaces.P:
+            return values
+        return self._cell_means.setdefault(values, fem.Function(self.spaces.D))
+
+    def _with_air(self, rho, theta):
+        """Return density and viscosity of rock and air, UFL expressions."""
+        eta = VISCOSITY_OF_MEAN[self.transfer.mean](theta)
+        if not self._air:
+            return rho, eta
+        above = fem.Function(self.spaces.D)
+        above.x.array[:] = self.in_air
+        air_rho, air_eta = self._air
+        return (1 - above) * rho + above * air_rho, (1 - above) * eta + above * air_eta
 
     def density_means(self):
         """Return the mean density of every cell, shape (cells,), kg/m^3."""
@@ -159,7 +177,7 @@ class FittedFields:
         unit: of every cell, shape (cells,).
 
     Attributes:
-        rho, density, eta: as in `RockFields`.
+        rho, density, eta, on_facets: as in `RockFields`.
     """
 
     def __init__(self, spaces, density, viscosity, unit):
@@ -168,6 +186,7 @@ class FittedFields:
         self.eta = fem.Function(spaces.D, name="viscosity")
         self.rho.x.array[:] = np.asarray(density, float)[unit]
         self.eta.x.array[:] = np.asarray(viscosity, float)[unit]
+        self.on_facets = self.density, self.eta
 
     def density_means(self):
         """Return the density of every cell, shape (cells,), kg/m^3."""

@@ -11,7 +11,16 @@ from restoration.free_surface import FreeSurface
 from restoration.layered import Layer, fastest_decay
 from restoration.lines import surface_of
 from restoration.run import march
-from restoration.scene import Air, Line, MeshPlan, Outline, SurfacePlan, TimePlan, Wall
+from restoration.scene import (
+    Air,
+    Line,
+    MeshPlan,
+    Outline,
+    SurfacePlan,
+    TimePlan,
+    Transfer,
+    Wall,
+)
 from restoration.state import State
 from tests.restoration.conftest import HEIGHT, MYR, WIDTH, diapir_scene
 
@@ -20,6 +29,7 @@ BASE = np.array([[0, -HEIGHT], [WIDTH, -HEIGHT]])
 ALONE = Layer(HEIGHT, 2600.0, 1e19)
 K = np.pi / WIDTH
 GAMMA = fastest_decay([ALONE], np.array([K]), 9.81)
+PLAN = SurfacePlan()
 
 
 def hill(height, points=201):
@@ -28,7 +38,7 @@ def hill(height, points=201):
     return Outline(np.column_stack([x, height * np.cos(K * x)]), BASE)
 
 
-def free_scene(height=10.0, plan=SurfacePlan(), steps=8, end=1.0, scheme="euler", **plans):
+def free_scene(height=10.0, plan=PLAN, steps=8, end=1.0, scheme="euler", **plans):
     """Return one rock below a hill that relaxes for ``end`` relaxation times and back."""
     time = TimePlan((0.0, end / GAMMA, 0.0), scheme, 1e6, steps)
     given = {
@@ -61,6 +71,32 @@ def test_a_hill_relaxes_as_linear_theory_says_in_second_order():
         left.append(heights(free_scene(plan=plan, steps=steps))[0][1])
     assert left[-1] / 10 == pytest.approx(np.exp(-1), rel=2e-3)
     assert (left[0] - left[1]) / (left[1] - left[2]) == pytest.approx(4, rel=0.02)
+
+
+@pytest.mark.parametrize("air", [None, Air(2e3, 1.0, 1e17)])
+def test_rock_at_quadrature_points_has_a_weight_at_the_surface(air):
+    left = []
+    for kind in ("hat", "quadrature"):
+        transfer = Transfer(kind, kind, "harmonic")
+        scene = free_scene(plan=SurfacePlan(air=air), cells=(8, 9), steps=2, transfer=transfer)
+        left.append(heights(scene)[0])
+    assert left[1] == pytest.approx(left[0])
+
+
+def test_rock_at_quadrature_points_slips_along_an_inclined_wall():
+    flows = []
+    for kind in ("hat", "quadrature"):
+        engine = StokesEngine(
+            free_scene(
+                height=500.0,
+                walls=diapir_scene().walls
+                | {"surface": Wall("free-slip", (None, 0.0), (0.0, 0.0))},
+                cells=(8, 9),
+                transfer=Transfer(kind, kind, "harmonic"),
+            )
+        )
+        flows.append(engine.with_flow(engine.start()).flow.p)
+    assert flows[1] == pytest.approx(flows[0], rel=1e-6, abs=1e-6 * np.abs(flows[0]).max())
 
 
 @pytest.mark.parametrize(("theta", "back"), [(0.0, 0.77), (0.5, 1.0), (1.0, 1.3)])
@@ -169,7 +205,7 @@ def test_a_surface_restored_beyond_its_relaxation_stays_bounded():
 
 
 def test_rock_stretched_out_of_the_section_comes_back_layer_by_layer():
-    """Pure shear between free-slip walls: uniform layers thin, and thicken again on the way back."""
+    """Pure shear between free-slip walls: uniform layers thin, and thicken on the way back."""
     rate = 0.05 / (0.2 * MYR)
     slip = Wall("free-slip", (None, 0.0), (0.0, 0.0))
     pull = Wall("velocity", (rate * WIDTH, None), (0.0, 0.0))
@@ -197,12 +233,14 @@ def test_rock_stretched_out_of_the_section_comes_back_layer_by_layer():
         for layer_z, surface_z in tops[2:]:
             assert layer_z == pytest.approx(4000, rel=5e-3)
             assert surface_z == pytest.approx(HEIGHT, rel=2e-3)
-        assert engine.left["right"] > 0 and engine.entered["right"] > 0
+        assert engine.left["right"] > 0
+        assert engine.entered["right"] > 0
         assert end.lines[0].points[-1, 0] == WIDTH
         assert end.particles.x[:, 0].max() <= WIDTH
         born = end.particles.x[end.particles.born]
         below = end.particles.unit[end.particles.born] == 0
-        assert born[below, 1].max() < -5900 and born[~below, 1].min() > -6100
+        assert born[below, 1].max() < -5900
+        assert born[~below, 1].min() > -6100
 
 
 def test_legs_of_a_march_are_told_apart():
