@@ -26,6 +26,7 @@ from tests.restoration.conftest import HEIGHT, MYR, WIDTH, diapir_scene
 
 FREE = Wall("free", (None, None), (0.0, 0.0))
 BASE = np.array([[0, -HEIGHT], [WIDTH, -HEIGHT]])
+EXPLICIT = SurfacePlan()
 ALONE = Layer(HEIGHT, 2600.0, 1e19)
 K = np.pi / WIDTH
 GAMMA = fastest_decay([ALONE], np.array([K]), 9.81)
