@@ -48,7 +48,7 @@ class FreeSurface:
         elif self.plan.reverse == "stabilise":
             return np.inf
         else:
-            longest = min(most, 1 / theta) if theta else most
+            longest = min(most, 1 / theta) if theta and not self.slaving else most
             rate = min(rate, self.slaving.cut) if self.slaving else rate
         return self.plan.limit * longest / rate
 
@@ -59,10 +59,14 @@ class FreeSurface:
         return len(self.slaving.modes.slaved) if found else 0
 
     def lead(self, dt):
-        """Return how far ahead the weight of the moved surface is to count, s; see `stabilise`."""
+        """Return how far ahead the weight of the moved surface is to count, s; see `stabilise`.
+
+        Not at all backward where modes are slaved: steps are longer there than the fast ones bear,
+        whose flow has a pole where theta dt gamma is 1.
+        """
         if dt < 0 and self.plan.reverse == "stabilise":
             return (self.plan.theta or 1.0) * -dt
-        return self.plan.theta * dt
+        return 0.0 if dt < 0 and self.slaving else self.plan.theta * dt
 
     def _begin(self, time, mark, rate):
         if self._leg == mark:
@@ -76,5 +80,5 @@ class FreeSurface:
         span = longest_way_back(self.marks)
         self.growth = rate * span
         wanted = self.plan.reverse
-        if wanted == "slave" or (wanted == "auto" and self.growth > INTEGRABLE):
+        if rate and (wanted == "slave" or (wanted == "auto" and self.growth > INTEGRABLE)):
             self.slaving = Slaving(span, self.plan.tolerance)

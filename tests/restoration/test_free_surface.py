@@ -244,6 +244,24 @@ def test_rock_stretched_out_of_the_section_comes_back_layer_by_layer():
         assert born[~below, 1].min() > -6100
 
 
+def test_no_weight_to_come_counts_backward_where_modes_are_slaved():
+    """A step of 30 relaxation times: with it the fast modes would fly off."""
+    plan = SurfacePlan(theta=0.5, reverse="slave")
+    time = TimePlan((0.0, -30 / GAMMA), "midpoint", 1e6, 1)
+    left, engine, _ = heights(free_scene(plan=plan, time=time, cells=(8, 9)))
+    assert engine.surface.slaved
+    assert engine.surface.lead(-8.0) == 0
+    assert abs(left[-1]) < 0.05 * left[0]
+
+
+@pytest.mark.parametrize("reverse", ["auto", "slave"])
+def test_without_gravity_a_surface_has_nothing_to_be_slaved_to(reverse):
+    plan = SurfacePlan(reverse=reverse)
+    left, engine, _ = heights(free_scene(plan=plan, gravity=0.0, steps=1, cells=(8, 9)))
+    assert engine.surface.slaving is None
+    assert left == pytest.approx([10.0] * 3)
+
+
 def test_legs_of_a_march_are_told_apart():
     scene = free_scene(plan=SurfacePlan(theta=0.25, reverse="stabilise"))
     surface = FreeSurface(scene)
