@@ -455,12 +455,13 @@ class StokesEngine:
 
         A cell that runs empty reads its rock from the particles around it, continuously as they
         move. A birth is a jump that the way back cannot undo (see docs/accuracy.md), so particles
-        are born only where all is empty for two cells around.
+        are born only where all is empty for two cells around. Air has none.
         """
         if self.fitted:  # the cells know their rock
             return particles
         index = self.grid.index
         empty = empty_cells(particles, len(index.area))
+        empty = empty[~self.grid.fields.in_air[empty]]
         self.empty_cells = len(empty)
         if len(empty):
             nodes = self.grid.spaces.h_nodes

@@ -75,7 +75,8 @@ class Grid:
         self.sampler = VelocitySampler(self.spaces)
         self._share = {"triangle": 4, "quadrilateral": 1}[section.cell] * (3 if pair.split else 1)
         self._u = fem.Function(self.spaces.V)
-        self._squared = fem.form(ufl.inner(self._u, self._u) * self.spaces.dx)
+        rock = self.top.rock if self.top else 1
+        self._squared = fem.form(rock * ufl.inner(self._u, self._u) * self.spaces.dx)
         self._snapshot = None
 
     @property
@@ -100,19 +101,20 @@ class Grid:
             self.fields.fill(p.x, p.cell, hats, p.unit, p.area)
 
     def speeds(self, flow):
-        """Return root mean square and greatest speed, m/s."""
+        """Return root mean square and greatest speed of the rock, m/s."""
         self._u.x.array[:] = flow.u.ravel()
         comm = self.section.mesh.comm
         squared = comm.allreduce(fem.assemble_scalar(self._squared), op=MPI.SUM)
-        greatest = comm.allreduce(float((flow.u**2).sum(axis=1).max()), op=MPI.MAX)
-        return float(np.sqrt(squared / self.section.area)), float(np.sqrt(greatest))
+        rock = ~self.fields.in_air
+        nodes = np.unique(self.spaces.v_nodes[rock])
+        greatest = comm.allreduce(float((flow.u[nodes] ** 2).sum(axis=1).max()), op=MPI.MAX)
+        area = self.section.area if rock.all() else self.index.area[rock].sum()
+        return float(np.sqrt(squared / area)), float(np.sqrt(greatest))
 
     def fastest(self, flow):
-        """Return the greatest number of cells that the flow crosses in a time, 1/s."""
+        """Return the greatest number of cells that the rock crosses in a time, 1/s."""
         speed = np.linalg.norm(flow.u, axis=1)[self.spaces.v_nodes].max(axis=1) / self.sizes
-        if self.top is not None and isinstance(self.fields, RockFields):
-            speed = speed[~self.fields.in_air]
-        return float(speed.max())
+        return float(speed[~self.fields.in_air].max())
 
     @property
     def snapshot(self):

@@ -52,6 +52,7 @@ class RockFields:
         rho: density, a Function, kg/m^3; in the air that of the rock goes on.
         density: with that of the air, a UFL expression, kg/m^3.
         eta: viscosity over the reference, a UFL expression.
+        in_air: which cells are air, shape (cells,), bool.
         on_facets: (density, eta) as integrals over facets can read them: values at the quadrature
             points of cells are not there, so that the means of the cells stand for them.
     """
@@ -177,7 +178,7 @@ class FittedFields:
         unit: of every cell, shape (cells,).
 
     Attributes:
-        rho, density, eta, on_facets: as in `RockFields`.
+        rho, density, eta, on_facets, in_air: as in `RockFields`.
     """
 
     def __init__(self, spaces, density, viscosity, unit):
@@ -187,6 +188,7 @@ class FittedFields:
         self.rho.x.array[:] = np.asarray(density, float)[unit]
         self.eta.x.array[:] = np.asarray(viscosity, float)[unit]
         self.on_facets = self.density, self.eta
+        self.in_air = np.zeros(len(unit), bool)
 
     def density_means(self):
         """Return the density of every cell, shape (cells,), kg/m^3."""

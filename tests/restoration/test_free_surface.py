@@ -119,9 +119,14 @@ def test_the_area_below_the_surface_is_kept(mesh):
 
 def test_air_above_makes_little_difference():
     plan = SurfacePlan(limit=0.5, air=Air(3000.0, 1.0, 1e16))
-    left, engine, _ = heights(free_scene(plan=plan, scheme="midpoint"))
+    left, engine, end = heights(free_scene(plan=plan, scheme="midpoint"))
     assert left[1] / 10 == pytest.approx(np.exp(-1), rel=0.02)
     assert engine.section.area > 1.2 * WIDTH * HEIGHT
+    assert engine.born == engine.empty_cells == 0
+    alone = StokesEngine(replace(engine.scene, surface=SurfacePlan()))
+    still = alone.with_flow(alone.taken_over(end))
+    speeds = end.grid.speeds(end.flow)
+    assert speeds == pytest.approx(still.grid.speeds(still.flow), rel=0.05)
 
 
 def test_nodes_may_move_along_the_normal():
