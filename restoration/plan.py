@@ -36,8 +36,10 @@ def unknowns(cells, element="P2-P1"):
 def active(scene):
     """Return what the scene requires, and nothing else, with the reason for each."""
     plan = scene.mesh
-    parts = [f"plane strain Stokes flow on {plan.element} elements", _solver(scene), _mesh(plan)]
-    if scene.one_viscosity and plan.refine is None and plan.interfaces == "particles":
+    parts = [f"plane strain Stokes flow on {plan.element} elements", _solver(scene), _mesh(scene)]
+    if scene.one_viscosity and scene.free:
+        parts.append("a factorisation for every solve: the mesh moves with the surface")
+    elif scene.one_viscosity and plan.refine is None and plan.interfaces == "particles":
         parts.append("one factorisation for the whole run: one viscosity, a mesh that stands still")
     elif scene.one_viscosity:
         parts.append("a factorisation for every mesh: one viscosity")
@@ -50,7 +52,8 @@ def active(scene):
     if _tables(scene):
         parts.append("walls that vary: their values are set anew for every flow")
     if len(scene.rocks) == 1:
-        parts.append("one rock: only the walls can move it")
+        relief = " and the relief of the surface" if scene.free else ""
+        parts.append(f"one rock: only the walls{relief} can move it")
     if scene.gravity == 0:
         parts.append("no gravity")
     frozen = scene.time.scheme in FROZEN
@@ -107,14 +110,15 @@ def _solver(scene):
     return names[scene.solver.name] + given
 
 
-def _mesh(plan):
+def _mesh(scene):
     """Return what the mesh does, in words."""
-    refine = plan.refine
+    plan, refine = scene.mesh, scene.mesh.refine
     if plan.interfaces == "fitted":
         text = "mesh lines follow the rock, a new mesh for every flow; nothing is averaged"
         return text + (f"; up to 2^{refine.levels} times finer there" if refine else "")
     if refine is None:
-        return "a mesh that stands still; particles carry the rock"
+        moves = "moves with the surface" if scene.free else "stands still"
+        return f"a mesh that {moves}; particles carry the rock"
     often = "every step" if refine.every == 1 else f"every {refine.every} steps"
     at = " and ".join(refine.where)
     return f"cells halved up to {refine.levels} times at {at}, {often}; particles carry the rock"

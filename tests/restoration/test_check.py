@@ -84,6 +84,8 @@ def test_marches_say_their_way():
         ("gravity=0 m/s^2", "no gravity"),
         ("section.layers.0.rock=sediment", "one rock: only the walls can move it"),
         ("transfer.mean=geometric", "(geometric mean)"),
+        ("boundary.surface=free", "a mesh that moves with the surface; particles carry the rock"),
+        ("boundary.surface=free", "a factorisation for every solve: the mesh moves"),
     ],
 )
 def test_what_is_active_and_why(override, said):
