@@ -16,7 +16,7 @@ class FreeSurface:
         scene: `scene.Scene` with a free surface.
 
     Attributes:
-        gamma: fastest rate of the surface seen so far, 1/s; 0 before it was looked at.
+        gamma: fastest rate of the surface seen so far, 1/s; None before it was looked at.
         slaving: `Slaving` of the leg, or None where the surface is integrated.
         growth: gamma T of the way back, T the longest between the marks; None forward.
     """
@@ -24,7 +24,7 @@ class FreeSurface:
     def __init__(self, scene):
         self.plan, self.scheme = scene.surface, scene.time.scheme
         self.marks = scene.time.marks
-        self.gamma, self.slaving, self.growth = 0.0, None, None
+        self.gamma, self.slaving, self.growth = None, None, None
         self._leg = self._response = self._mode = None
 
     def stable_step(self, grid, time, mark):
@@ -39,7 +39,7 @@ class FreeSurface:
         if self._response is None or self._response.grid is not grid:
             self._response = SurfaceResponse(grid)
         rate, self._mode = self._response.fastest(self._mode)
-        self.gamma = max(self.gamma, rate)
+        self.gamma = max(self.gamma or 0.0, rate)
         self._begin(time, mark, rate)
         if rate == 0:
             return np.inf

@@ -148,6 +148,7 @@ def test_steps_stay_below_the_limit_of_an_explicit_surface():
     engine = StokesEngine(scene)
     state = engine.with_flow(engine.start())
     assert engine.stable_step(state, scene.time.marks[1]) > 100 * longest
+    assert engine.work()["surface_rate_per_s"] is None
 
 
 def test_the_slope_of_45_degrees_solves_or_says_where():
