@@ -31,7 +31,7 @@ from restoration.scene import WALLS, Line, Outline
 from restoration.state import State
 from restoration.step import Step
 from restoration.stokes import Counts
-from restoration.surface import line_area, standing
+from restoration.surface import ROUGH, line_area, standing
 from restoration.surface_modes import SETTLINGS
 from restoration.units import show
 
@@ -174,8 +174,12 @@ class StokesEngine:
         line = surface_of(lines)
         if line is None:
             return
-        # a fitted mesh too: nodes on the line make chords, which lie below its crests
-        if not self.grid.follow(standing(line.points)[0]):
+        points = standing(line.points)[0]
+        # A fitted mesh follows too: nodes on the line make chords, which lie below its crests. Not
+        # beside scarps, where it has nodes on every corner.
+        if regions is not None and self.grid.top.roughness(points) > ROUGH:
+            self.grid.index.moved(self.grid.top.line)
+        elif not self.grid.follow(points):
             raise MeshError(
                 "the cells below the surface lose their shape: it is too steep for columns; "
                 "raise mesh.cells"

@@ -41,8 +41,10 @@ def with_faults(case, shape, outline, tree):
     for i, (name, entry) in enumerate(zip(names, case.faults, strict=True)):
         try:
             if name in shape.names or name in names[:i]:
-                message = f"{quoted(name)} is the name of a unit already; give it another"
-                raise _Wrong("name", message)
+                message = f"{quoted(name)} is the name of a unit already; give it "
+                if entry.name is None:
+                    raise _Wrong("", f"has no name of its own, and {message}one")
+                raise _Wrong("name", f"{message}another")
             drawn = [line.points for line in shape.lines if line.kind == "fault"]
             known = [line.name for line in shape.lines if line.kind == "fault"]
             centres, band = _band(entry, outline, dict(_grouped(known, drawn)))

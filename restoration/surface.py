@@ -15,6 +15,7 @@ from meshes.box import AIR
 GROUND = 9  # tag of the inner facets between rock and air
 # A mesh is made anew where a cell has lost more than this part of its shape.
 WORST_SHAPE = 0.15
+ROUGH = 0.02  # from here on a surface line has scarps, see `Top.roughness`
 STEEPEST = 2.0  # slope of a surface that stands; what becomes steeper falls
 LEAST_RUN = 1e-6  # of the width, between two points of a line that was made upright
 LEAST_FALL, MOST_FALLS = 1e-3, 2000  # of the longest segment; sweeps
@@ -158,6 +159,19 @@ class Top:
         """Return the area that the section gains through its surface in a time, m^2/s."""
         self._u.x.array[:] = flow.u.ravel()
         return float(fem.assemble_scalar(self._flux))
+
+    def roughness(self, points):
+        """Return how far the least-squares line is off a surface line at the nodes.
+
+        In parts of the edges there: it overshoots beside a scarp that the mesh has nodes on.
+
+        Args:
+            points: of the line, as in `follow`.
+        """
+        x = self._made[self.dofs, 0]
+        off = np.abs(heights_on(points, x) - np.interp(x, *points.T))
+        run = np.diff(x)
+        return float((off / np.minimum(np.r_[run, np.inf], np.r_[np.inf, run])).max())
 
     def follow(self, points):
         """Move the mesh so that it follows a surface line.
