@@ -170,8 +170,8 @@ def _faults(drawing, whole, tolerance):
     if drawing.faults:
         count = len(drawing.faults)
         drawing.notes.append(
-            f"faults ({count}) move with the rock; 'faults' in the case can give them a width and "
-            "a rock"
+            f"faults ({count}) move with the rock; each has the width and the rock that 'faults' "
+            "in the case gives it, or none"
         )
     return lines
 

@@ -25,12 +25,13 @@ class SurfaceStress:
         eta: viscosity over ``eta0`` as a UFL expression.
         eta0: Pa s.
         gravity: downwards, m/s^2.
+        surface_rho: density as integrals over facets can read it; None where that is ``rho``.
 
     Attributes:
         x: positions along the surface of its velocity nodes, ascending, shape (m,), m.
     """
 
-    def __init__(self, section, spaces, rho, eta, eta0, gravity):
+    def __init__(self, section, spaces, rho, eta, eta0, gravity, surface_rho=None):
         mesh, wall = section.mesh, section.wall_tags["surface"]
         self.spaces, self.gravity = spaces, gravity
         dim, ds = section.dim, spaces.ds(wall)
@@ -46,7 +47,7 @@ class SurfaceStress:
         # of a wall without shear the force is along n
         test = self._test[dim - 1] * ufl.FacetNormal(mesh)[dim - 1]
         self._mass = fem.form(trial * test * ds)
-        self._weight = fem.form(rho * trial * test * ds)
+        self._weight = fem.form((rho if surface_rho is None else surface_rho) * trial * test * ds)
         self._share = fem.form(test * ds)
         facets = section.facet_tags.find(wall)
         blocks = fem.locate_dofs_topological(spaces.V, dim - 1, facets)
@@ -122,6 +123,12 @@ def dynamic_topography(scene, grid, flow):
         return None
     fields = grid.fields
     stress = SurfaceStress(
-        grid.section, grid.spaces, fields.density, fields.eta, grid.eta0, scene.gravity
+        grid.section,
+        grid.spaces,
+        fields.density,
+        fields.eta,
+        grid.eta0,
+        scene.gravity,
+        fields.on_facets[0],
     )
     return stress.x, stress.heights(flow)

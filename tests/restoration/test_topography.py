@@ -11,7 +11,7 @@ from restoration.bench.reliefs import ALONG, _density, _one, load_stress
 from restoration.engine import StokesEngine
 from restoration.layered import Layer, growth_matrix
 from restoration.run import Job, run_job
-from restoration.scene import MeshPlan, Outline, Wall
+from restoration.scene import MeshPlan, Outline, Transfer, Wall
 from restoration.topography import SurfaceStress, dynamic_topography
 from tests.restoration.conftest import HEIGHT, WIDTH, diapir_scene
 
@@ -97,3 +97,16 @@ def test_the_run_record_tells_it_at_every_mark(tmp_path):
     assert found == record["dynamic_topography_m"]
     assert len(found) == 2
     assert all(0 < relief < HEIGHT / 100 for relief in found)
+
+
+def test_rock_at_quadrature_points_has_a_topography_too():
+    heights = []
+    for density in ("hat", "quadrature"):
+        scene = diapir_scene(
+            walls=diapir_scene().walls | {"surface": Wall("free-slip", (None, 0.0), (0.0, 0.0))},
+            transfer=Transfer(density, "hat", "harmonic"),
+        )
+        engine = StokesEngine(scene)
+        state = engine.with_flow(engine.start())
+        heights.append(np.ptp(dynamic_topography(scene, state.grid, state.flow)[1]))
+    assert heights[1] == pytest.approx(heights[0], rel=0.02)
