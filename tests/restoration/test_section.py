@@ -87,7 +87,7 @@ def test_a_section_has_units_contacts_faults_and_a_frame(read):
     assert section.outline.base.tolist() == [[0, -2000], [5000, -2000]]
     assert names(section, [(1, -1999), (1, -1)]) == ["salt", "sand"]
     assert section.unit_at(np.zeros((3, 2))).dtype == np.int16
-    assert "a width and a rock" in section.notes[0]
+    assert "the width and the rock" in section.notes[0]
 
 
 def test_points_outside_belong_to_the_nearest_polygon(read):
