@@ -391,10 +391,10 @@ def _two_interface(rows):
             some,
             lambda r: r.case.split(", ")[-1],
             lambda r: r.parameters["gamma_t"],
-            lambda r: max(abs(r.value), 1e-20),
+            lambda r: min(max(abs(r.value), 1e-20), 1e60),
             "",
         )
-        panels.append((metric, "gamma times the duration", "", ("log", "log"), series))
+        panels.append((f"{metric}, up to 1e60", "gamma times the duration", "", ("log", "log"), series))
     return panels
 
 
