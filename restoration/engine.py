@@ -12,6 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from restoration.advection import STEPPERS
+from restoration.bands import areas
 from restoration.diagnostics import relief
 from restoration.errors import MeshError, SolveError
 from restoration.free_surface import FreeSurface
@@ -87,7 +88,7 @@ class StokesEngine:
             self.cell_size = self.mesher.finest
             lines = self._first_lines()
             section, points = self.mesher.mesh(lines)
-            self._take(section, lines, None if points is None else (None, points))
+            self._take(section, lines, None if points is None else (None, points, {}))
         self.start_area = self.grid.section.area
         self.fitted = scene.mesh.interfaces == "fitted"
         self._steps, self._last_flow, self._rock_areas = 0, None, None
@@ -228,7 +229,7 @@ class StokesEngine:
         with self.timed("mesh"):
             section, points = self.mesher.mesh(lines)
             particles = self._nowhere(particles)
-            self._take(section, lines, (particles, points))
+            self._take(section, lines, (particles, points, areas(lines)))
             self._guard_rocks()
             return relocate(particles, self.grid.index)
 

@@ -1,6 +1,7 @@
 """One mesh of a section with all that is made for it: spaces, cells of points, rock, the flow."""
 
 import numpy as np
+import shapely
 import ufl
 from dolfinx import fem
 from mpi4py import MPI
@@ -24,8 +25,8 @@ class Grid:
         scene: `scene.Scene`.
         section: `meshes.data.SectionMesh`; split at the barycentres here where elements ask for it.
         counts: `stokes.Counts` to go on with, or None.
-        regions: of a fitted mesh, (particles, points): what tells the unit of every region, see
-            `units_of_regions`; None where particles carry the rock.
+        regions: of a fitted mesh, (particles, points, bands): what tells the unit of every region,
+            see `units_of_regions`; None where particles carry the rock.
 
     Attributes:
         section, spaces, index, fields, stokes, sampler: the parts.
@@ -124,14 +125,17 @@ class Grid:
         return self._snapshot
 
 
-def units_of_regions(section, index, particles, points, scene):
+def units_of_regions(section, index, particles, points, bands, scene):
     """Return the unit of every region of a fitted mesh: that of most of its particles.
+
+    The bands of faults are known by their edges: the few particles in a sliver of one tell less.
 
     Args:
         section: fitted `meshes.data.SectionMesh`.
         index: `CellIndex` of it.
         particles: `Particles` without cells; None at the start, when the scene tells.
         points: a point in every region, shape (regions, 2), m.
+        bands: areas of the faults by name, see `bands.areas`.
         scene: `scene.Scene`.
     """
     if particles is None:
@@ -141,8 +145,15 @@ def units_of_regions(section, index, particles, points, scene):
     votes = np.zeros((len(points), len(scene.units)))
     at = section.regions[particles.cell[inside]], particles.unit[inside]
     np.add.at(votes, at, particles.area[inside])
+    of_faults = [fault.unit for fault in scene.faults]
+    votes[:, of_faults] = 0
     unit = votes.argmax(axis=1)
     silent = np.flatnonzero(votes.sum(axis=1) == 0)
     if len(silent):  # thinner than the particles are apart
-        unit[silent] = particles.unit[inside][cKDTree(particles.x[inside]).query(points[silent])[1]]
+        telling = np.flatnonzero(~np.isin(particles.unit[inside], of_faults))
+        tree = cKDTree(particles.x[inside][telling])
+        unit[silent] = particles.unit[inside][telling[tree.query(points[silent])[1]]]
+    for fault in scene.faults:  # where they cross, the later one is on top
+        if fault.name in bands:
+            unit[shapely.contains_xy(bands[fault.name], *points.T)] = fault.unit
     return unit

@@ -394,7 +394,8 @@ def _two_interface(rows):
             lambda r: min(max(abs(r.value), 1e-20), 1e60),
             "",
         )
-        panels.append((f"{metric}, up to 1e60", "gamma times the duration", "", ("log", "log"), series))
+        title, scales = f"{metric}, up to 1e60", ("log", "log")
+        panels.append((title, "gamma times the duration", "", scales, series))
     return panels
 
 
