@@ -26,7 +26,7 @@ PAPER_STEPS = 350 / (0.0085 * 6.25)
 
 def run_graben(quick=False):
     """Graben of the paper, sect. 4.3: errors of every interface against another forward run."""
-    there, back = (([30, 10], 16), ([36, 12], 14)) if quick else (([36, 12], 28), ([42, 14], 20))
+    there, back = (([36, 12], 18), ([42, 14], 16)) if quick else (([36, 12], 28), ([42, 14], 20))
     # So coarse the surface comes back with a spike where a band crops out: its rows only inform.
     held = ("horizon",) if quick else ("horizon", "surface")
     yield from _rows("independent", _scene(*there, FORWARD), _scene(*back, BACKWARD), held)
