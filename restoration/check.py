@@ -4,7 +4,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from restoration.advection import STOKES_SOLVES
+from restoration.advection import SCHEMES
 from restoration.layered import restorable
 from restoration.plan import active, time_label, unknowns
 from restoration.scene import WALLS, Table
@@ -54,7 +54,7 @@ def describe(loaded):
         "particles": particles,
         "memory_mb_about": round(BASE_MB + (count * PER_UNKNOWN + particles * PER_PARTICLE) / 1e6),
         "steps_at_least": steps,
-        "stokes_solves_at_least": steps * STOKES_SOLVES[scene.time.scheme] + 1,
+        "stokes_solves_at_least": steps * SCHEMES[scene.time.scheme].solves + 1,
         "viscosity_contrast": float(scene.unit_viscosity.max() / scene.unit_viscosity.min()),
         "active": active(scene),
         "notes": list(scene.notes),

@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from restoration.advection import STEPPERS
+from restoration.advection import SCHEMES
 from restoration.bands import areas
 from restoration.diagnostics import relief
 from restoration.errors import MeshError, SolveError
@@ -44,6 +44,8 @@ MOST_FALLEN = 1e-3  # of the section, that may fall from a surface in a step
 CLOSEST_PER_CELL = 64  # vertices that a cliff has pressed together nearer than this go
 TRIAL = 0.5  # of the relaxation time of the fastest mode: a step that tells a rate
 ON_WALL = 1e-9  # of the width: an end of a line this near to a side is on it
+SAFETY = 0.9  # of the step that would be off by just what is tolerated
+MOST_SHRUNK, MOST_GROWN, MOST_TRIALS = 0.2, 2.0, 12  # of steps by their error
 ROCK_JUMP = 0.02  # of the section, that no rock wins or loses from one fitted mesh to the next
 PARTS = ("setup", "mesh", "fields", "assemble", "solve", "surface", "advect")
 
@@ -59,6 +61,7 @@ class StokesEngine:
         born: particles born so far to fill cells.
         empty_cells: cells without a particle after the last step; their rock is read from the
             particles around them.
+        rejected: steps that were off by more than is tolerated, and taken anew.
         held_on_wall: times a particle was set back onto a closed wall.
         seconds: wall time by part, s.
         grid: the `Grid` in use: one for the run where the mesh stands still.
@@ -92,6 +95,7 @@ class StokesEngine:
         self.start_area = self.grid.section.area
         self.fitted = scene.mesh.interfaces == "fitted"
         self._steps, self._last_flow, self._rock_areas = 0, None, None
+        self.rejected, self._next = 0, np.inf  # steps; the next one by the error of the last, s
         self.born = 0
         self.empty_cells = 0
         self.held_on_wall = 0
@@ -120,6 +124,7 @@ class StokesEngine:
             "refinements": counts.refinements,
             "worst_residual": counts.worst_residual,
             "meshes": self.meshes,
+            "steps_rejected": self.rejected,
             "particles_born": self.born,
             "particles_left": dict(self.left),
             "particles_entered": dict(self.entered),
@@ -261,7 +266,7 @@ class StokesEngine:
     def stable_step(self, state, mark):
         """Return the longest step on the way to a mark, s; positive.
 
-        It crosses ``courant`` cells, and a free surface bears it.
+        It crosses ``courant`` cells, is off by what is tolerated, and a free surface bears it.
 
         Raises:
             SolveError: the velocity is not finite.
@@ -270,13 +275,17 @@ class StokesEngine:
         if not np.isfinite(fastest):
             raise SolveError("the velocity is not finite; no time step is possible")
         longest = self.scene.time.courant / fastest if fastest > 0 else np.inf
+        longest = min(longest, self._next)
         if self.surface:
             with self.timed("surface"):
                 longest = min(longest, self.surface.stable_step(state.grid, state.time, mark))
         return longest
 
     def advance(self, state, until):
-        """Return the state moved to the time ``until``, s; earlier than now restores."""
+        """Return the state moved to the time ``until``, s; earlier than now restores.
+
+        Or less far, where a whole step would be off by more than is tolerated.
+        """
         slaving = self.surface and self.surface.slaving
         if slaving and slaving.modes is None:
             self._find_rate(state)
@@ -288,18 +297,45 @@ class StokesEngine:
                 after = replace(after, particles=self._settled(after.particles))
         return self._on_equilibrium(after, 1) if slaving else after
 
+    def _controlled(self, state, until, scheme, slaving):
+        """Return a `Step` as long as its error allows, its rows at the end, and when that is.
+
+        Raises:
+            SolveError: steps fall below all bounds.
+        """
+        tolerance = self.scene.time.tolerance
+        for _ in range(MOST_TRIALS):
+            dt = until - state.time
+            move = Step(self, state, dt, scheme, slaving)
+            x, error = move.taken(tolerance)
+            if tolerance is None or error is None:
+                return move, x, until
+            growth = SAFETY * (tolerance / max(error, 1e-9 * tolerance)) ** (
+                1 / SCHEMES[scheme].order  # the error of one step of the embedded scheme
+            )
+            self._next = abs(dt) * min(max(growth, MOST_SHRUNK), MOST_GROWN)
+            if error <= tolerance:
+                return move, x, until
+            self.rejected += 1
+            until = state.time + np.sign(dt) * self._next
+            if self.fitted or self.surface:  # the stages have moved the mesh
+                state = self.with_flow(replace(state, flow=None))
+        raise SolveError(
+            f"a step of {show(abs(dt), 'time')} is still off by {show(error, 'length')} after "
+            f"{MOST_TRIALS} trials; a larger time.tolerance, or finer cells, may help"
+        )
+
     def _moved(self, state, until, scheme, slaving=True):
         """Return a state moved by a scheme, its particles located but no cells filled.
 
         Args:
             state: with its flow.
-            until: model time, s.
-            scheme: name of a stepper.
+            until: model time, s, at the furthest.
+            scheme: name of one of `advection.SCHEMES`.
             slaving: whether slaved modes of the surface move with their equilibrium.
         """
-        dt = until - state.time
-        move = Step(self, state, dt, scheme, slaving)
-        x = STEPPERS[scheme](move.start, move.velocity, dt)
+        move, x, until = self._controlled(state, until, scheme, slaving)
+        dt, state = until - state.time, move.state
         with self.timed("advect"):
             moved = move.parts(self._on_walls(x[: move.fixed]))
             lines = self.with_ends(state.lines, with_points(state.lines, moved["lines"]))
@@ -311,7 +347,7 @@ class StokesEngine:
                 dt,
             )
         if self.surface:
-            lines = self._with_area(self._without_cliffs(lines), x[-1, 0])
+            lines = self._with_area(self._without_cliffs(lines), x[-1, 0] * move.width)
         particles = replace(state.particles, x=moved["particles"])
         with self.timed("advect"):
             particles = self._through_walls(particles, lines, moved)

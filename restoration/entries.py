@@ -7,7 +7,7 @@ import re
 from itertools import pairwise
 from typing import Annotated
 
-from pydantic import AfterValidator, Field, PlainValidator
+from pydantic import AfterValidator, Field, PlainValidator, field_validator
 
 from restoration.fault_entries import FaultEntry
 from restoration.kinds import Entry, Length, Name, Size, quantity, read_names, words
@@ -22,6 +22,8 @@ PRESETS = {
 }
 LONGEST = 1e4 * UNITS["time"]["Myr"]  # s, of a march
 HIGHEST = {"velocity": 1.0, "pressure": 1e12, "length": 1e8}  # of walls, SI
+SCHEMES = ("rk4", "rk3", "midpoint", "implicit-midpoint", "paper", "euler")
+TOLERANT = ("rk3", "implicit-midpoint")  # which take a tolerance of the error of a step
 COLOR = re.compile(r"#[0-9a-fA-F]{6}")
 ELEMENTS = ("P2-P1", "P2b-P1dg", "P2-P1dg", "MINI", "Q2-Q1", "Q2-P1dg")
 REFINED_AT = ("interfaces", "faults", "velocity-gradient")
@@ -394,9 +396,19 @@ class Time(Entry):
     """The march."""
 
     marks: Annotated[tuple[Quantity, ...], PlainValidator(read_marks)]
-    scheme: words("rk4", "midpoint", "paper", "euler") = "rk4"
+    scheme: words(*SCHEMES) = "rk4"
     courant: Annotated[float, Field(gt=0, le=1e3)] | None = None
     min_steps: Annotated[int, Field(ge=1, le=10**6)] | None = None
+    tolerance: quantity("length", low=1e-6, high=1e6) | None = None
+
+    @field_validator("tolerance")
+    @classmethod
+    def _told(cls, value, found):
+        """Refuse a tolerance where the scheme has no use for it."""
+        scheme = found.data.get("scheme")
+        if value is not None and scheme is not None and scheme not in TOLERANT:
+            raise ValueError(f"has no use with {scheme}; possible with {' and '.join(TOLERANT)}")
+        return value
 
 
 FIELDS = ("velocity", "pressure", "density", "viscosity", "strain_rate")

@@ -2,11 +2,9 @@
 
 import numpy as np
 
+from restoration.advection import SCHEMES
 from restoration.layered import longest_way_back
 from restoration.surface_modes import INTEGRABLE, Slaving, SurfaceResponse
-
-# Step times rate up to which the explicit schemes keep a relaxing surface from growing.
-STABLE = {"euler": 2.0, "paper": 2.0, "midpoint": 2.0, "rk4": 2.785}
 
 
 class FreeSurface:
@@ -32,7 +30,7 @@ class FreeSurface:
 
         The flow at ``time`` was the last one solved for. Begins the leg where it is new.
         """
-        theta, most, backward = self.plan.theta, STABLE[self.scheme], mark < time
+        theta, most, backward = self.plan.theta, SCHEMES[self.scheme].stable, mark < time
         if not backward and theta >= 0.5:
             self._begin(time, mark, 0.0)
             return np.inf

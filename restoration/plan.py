@@ -1,6 +1,6 @@
 """What a scene requires of an engine, and how large the problem is; solves nothing."""
 
-from restoration.advection import FROZEN
+from restoration.advection import SCHEMES
 from restoration.scene import Table
 from restoration.units import show
 
@@ -56,7 +56,7 @@ def active(scene):
         parts.append(f"one rock: only the walls{relief} can move it")
     if scene.gravity == 0:
         parts.append("no gravity")
-    frozen = scene.time.scheme in FROZEN
+    frozen = SCHEMES[scene.time.scheme].frozen
     parts.append(
         f"steps by {scene.time.scheme}, "
         + ("one flow for each step" if frozen else "Stokes solved at every stage")

@@ -151,6 +151,7 @@ def _scene(case, shape, outline, walls, cells, title, notes):
             case.time.scheme,
             float(case.preset("time", "courant")),
             case.preset("time", "min_steps"),
+            case.time.tolerance.si if case.time.tolerance else None,
         ),
         output=OutputPlan(
             case.output.at,

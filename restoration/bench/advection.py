@@ -3,7 +3,7 @@
 import numpy as np
 
 from meshes.box import section_mesh
-from restoration.advection import STEPPERS, STOKES_SOLVES
+from restoration.advection import SCHEMES
 from restoration.bench.exact import constant_speed_rotation, single_vortex
 from restoration.bench.reference import ROTATION, ROTATION_GAIN, VORTEX_HALF, VORTEX_RIM
 from restoration.bench.rows import Clock, Row, compared, observed_order
@@ -12,7 +12,6 @@ from restoration.sampling import VelocitySampler
 from restoration.spaces import Spaces
 from restoration.units import YEAR
 
-ORDERS = {"euler": 1, "paper": 1, "midpoint": 2, "rk4": 4}
 RADIUS = 3e3  # m, of the particle of the paper
 SMALL_GAIN = 1e-6  # m, below which a difference of radii is rounding
 
@@ -35,8 +34,8 @@ def run_rotation(quick):
                 clock, dt = Clock(), years * YEAR
                 steps, x = int(period // dt), start
                 for _ in range(steps):
-                    x = STEPPERS[name](x, flow, dt)
-                x = STEPPERS[name](x, flow, period - steps * dt)
+                    x = SCHEMES[name].step(x, flow, dt)
+                x = SCHEMES[name].step(x, flow, period - steps * dt)
                 found[years] = float(np.hypot(*(x - centre)[0]) - RADIUS)
                 # The field on a mesh is not the exact one: its own error stays as dt vanishes.
                 yield compared(
@@ -55,7 +54,7 @@ def run_rotation(quick):
                 years = [1000.0, 2000.0]
                 order = observed_order(years, [abs(found[y]) for y in years])
                 # the radius of even orders gains one more order
-                expected = ORDERS[name] + (ORDERS[name] % 2 == 0)
+                expected = SCHEMES[name].order + (SCHEMES[name].order % 2 == 0)
                 yield compared(
                     "rotation",
                     f"{name}, {field}",
@@ -98,7 +97,8 @@ def run_single_vortex(quick):
             """The time travels along as a third coordinate, so that stages see their own."""
             return np.column_stack([field(xt[:, :2], xt[0, 2]), np.ones(len(xt))])
 
-        for name, order in ORDERS.items():
+        for name, scheme in SCHEMES.items():
+            order = scheme.order
             halves, back = [], []
             for steps in counts:
                 clock, dt = Clock(), period / steps
@@ -106,14 +106,14 @@ def run_single_vortex(quick):
                 for step in range(steps):
                     if step == steps // 2:
                         halves.append(np.abs(xt[:, :2] - places).max())
-                    xt = STEPPERS[name](xt, flow, dt)
+                    xt = SCHEMES[name].step(xt, flow, dt)
                 back.append(np.abs(xt[:, :2] - VORTEX_RIM).max())
                 more = {
                     "source": source,
                     "steps": steps,
                     "wall_s": clock.seconds,
                     "parameters": {"stepper": name, "period": period, "steps": steps}
-                    | {"velocities": steps * STOKES_SOLVES[name]},
+                    | {"velocities": steps * SCHEMES[name].solves},
                 }
                 case = f"{name}, period {period:g}"
                 metric = f"farthest from its place, {steps} steps"

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from restoration.advection import STEPPERS
+from restoration.advection import SCHEMES
 from restoration.bench import exact, reference
 
 POINTS = np.random.default_rng(1).uniform(0.05, 0.95, (60, 2))
@@ -223,7 +223,7 @@ def test_constant_speed_rotation():
 
 @pytest.mark.parametrize("name", reference.ROTATION_GAIN)
 def test_rotation_gains_the_stored_radius(name):
-    speed, step = reference.ROTATION["speed_m_per_yr"], STEPPERS[name]
+    speed, step = reference.ROTATION["speed_m_per_yr"], SCHEMES[name].step
     centre, start = (1e3 * np.array([reference.ROTATION[key]]) for key in ("centre_km", "start_km"))
     velocity, _ = exact.constant_speed_rotation(speed, centre[0])
     radius = np.hypot(*(start - centre)[0])

@@ -85,9 +85,9 @@ def test_one_viscosity_takes_one_factorisation(journey):
     assert journey[0].counts.worst_residual < 1e-8
 
 
-@pytest.mark.parametrize("scheme", ["euler", "paper", "midpoint", "rk4"])
+@pytest.mark.parametrize("scheme", ["euler", "paper", "midpoint", "rk3", "rk4"])
 def test_solves_per_step(scheme):
-    per_step = {"euler": 1, "paper": 1, "midpoint": 2, "rk4": 4}[scheme]
+    per_step = {"euler": 1, "paper": 1, "midpoint": 2, "rk3": 3, "rk4": 4}[scheme]
     plan = TimePlan((0.0, 0.1 * MYR), scheme, 1.0, 3)
     engine = StokesEngine(diapir_scene(time=plan))
     march(engine.start(), engine, plan)
