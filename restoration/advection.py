@@ -7,6 +7,7 @@ it once per step, the way the paper does.
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -94,11 +95,11 @@ def _accelerated(images, gaps):
     """Return the next iterate: of the combinations of the last ones that with the least gap."""
     if len(gaps) == 1:
         return images[0]
-    turns = np.stack([(later - gap).ravel() for gap, later in zip(gaps, gaps[1:], strict=False)])
+    turns = np.stack([(later - gap).ravel() for gap, later in pairwise(gaps)])
     # by the normal equations: three columns of as many rows as there are points
     gram = turns @ turns.T
     share = np.linalg.lstsq(gram, turns @ gaps[-1].ravel(), rcond=1e-12)[0]
-    moves = (b - a for a, b in zip(images, images[1:], strict=False))
+    moves = (b - a for a, b in pairwise(images))
     return images[-1] - sum(s * move for s, move in zip(share, moves, strict=True))
 
 

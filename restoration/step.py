@@ -129,8 +129,8 @@ class Step:
         if grid is not self._grid:
             self._grid, self._guess = grid, grid.index.guess(x)
         with self.engine.timed("advect"):
-            if self.engine.open:  # what has left goes on with the rock at the wall
-                x = self.engine.within(x)
-            cell, hats = grid.index.locate(x, self._guess)
+            # What has left goes on with the rock at the wall, and so does what a stage carried
+            # through a closed one: a velocity of zero there would be a jump.
+            cell, hats = grid.index.locate(self.engine.within(x), self._guess)
         self._guess = np.where(cell == OUTSIDE, self._guess, cell)
         return cell, hats

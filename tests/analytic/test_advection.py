@@ -25,7 +25,8 @@ def drift_after_a_turn(scheme, steps, direction=1):
 
 
 @pytest.mark.parametrize(
-    ("scheme", "order"), [("euler", 1), ("paper", 1), ("midpoint", 2), ("rk3", 3), ("rk4", 4), ("implicit-midpoint", 2)]
+    ("scheme", "order"),
+    [("euler", 1), ("paper", 1), ("midpoint", 2), ("rk3", 3), ("rk4", 4), ("implicit-midpoint", 2)],
 )
 def test_order_on_the_rotation(scheme, order):
     steps = (200, 400, 800)

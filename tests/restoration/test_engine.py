@@ -12,6 +12,7 @@ from restoration.diagnostics import (
     volume_by_rock,
 )
 from restoration.engine import StokesEngine
+from restoration.lines import as_drawn
 from restoration.particles import seed
 from restoration.run import march
 from restoration.scene import Cloud, Line, Outline, TimePlan, Transfer, Wall
@@ -104,6 +105,67 @@ def test_order_in_time_of_the_whole_scheme():
     gap = {key: np.linalg.norm(x - ends["rk4", 32], axis=1).mean() for key, x in ends.items()}
     assert gap["rk4", 8] < gap["midpoint", 8] / 5
     assert gap["midpoint", 8] < gap["paper", 8] / 5
+
+
+def ends(scheme, counts, marks=(0.0, 2.0 * MYR), **plans):
+    """Where the particles end after numbers of steps, shape (numbers, n, 2), m."""
+    found = []
+    for n in counts:
+        plan = TimePlan(marks, scheme, 1e9, n, 1e-4 if scheme == "implicit-midpoint" else None)
+        engine = StokesEngine(diapir_scene(time=plan, **plans))
+        found.append(march(engine.start(), engine, plan).particles.x)
+    return np.array(found)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("scheme", "least"),
+    [("midpoint", 1.75), ("implicit-midpoint", 1.9), ("rk3", 2.5), ("rk4", 3.5)],
+)
+def test_orders_of_the_coupled_system(scheme, least):
+    """One viscosity: three step sizes, Stokes solved at every stage, against small steps."""
+    reference = ends("rk4", [64], cells=(29, 32))[0]
+    gap = np.linalg.norm(ends(scheme, (5, 10, 20), cells=(29, 32)) - reference, axis=2).mean(axis=1)
+    assert (np.log2(gap[:-1] / gap[1:]) > least).all()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("scheme", "least"),
+    [("midpoint", 1.85), ("implicit-midpoint", 1.85), ("rk3", 2.4), ("rk4", 2.8)],
+)
+def test_orders_on_two_viscosities(scheme, least):
+    """Where the weak rock crosses the cells the fields have kinks, and rk4 loses an order."""
+    two = {"viscosity": (1.4e17, 2.8e19), "marks": (0.0, 0.5 * MYR)}
+    reference = ends("rk4", [96], **two)[0]
+    gap = np.linalg.norm(ends(scheme, (6, 12, 24), **two) - reference, axis=2).mean(axis=1)
+    assert (np.log2(gap[:-1] / gap[1:]) > least).all()
+
+
+def test_the_implicit_midpoint_rule_comes_back():
+    """Time-symmetric: what remains is the tolerance of its iterations, whatever the steps."""
+    plan = TimePlan((0.0, 1.0 * MYR, 0.0), "implicit-midpoint", 1e9, 4, 1e-5)
+    engine = StokesEngine(diapir_scene(time=plan))
+    end = march(engine.start(), engine, plan)
+    assert there_and_back(end.particles)[1]["max_m"] < 1e-2
+    assert line_distances(engine.scene.lines, as_drawn(end.lines))[0]["max_m"] < 1e-2
+    assert engine.counts.solves < 8 * (10 + 1)
+
+
+def test_rk3_keeps_its_error_to_the_tolerance():
+    """Long steps are refused and taken anew; what is left follows the tolerance."""
+
+    def end(tolerance):
+        plan = TimePlan((0.0, 1.5 * MYR), "rk3", 1e9, 1, tolerance)
+        engine = StokesEngine(diapir_scene(time=plan))
+        return march(engine.start(), engine, plan).particles.x, engine
+
+    (coarse, first), (fine, second), (exact, _) = end(30.0), end(1.0), end(0.01)
+    gap = [np.linalg.norm(x - exact, axis=1).mean() for x in (coarse, fine)]
+    assert first.rejected > 0
+    assert second.counts.solves > 1.8 * first.counts.solves
+    assert gap[1] < gap[0] / 4
+    assert gap[1] < 3.0
 
 
 def test_a_mirrored_section_gives_the_mirrored_run():
