@@ -15,7 +15,7 @@ from restoration.errors import SolveError
 
 TOLERANCE = 1e-3  # m, change of a point at which `implicit_midpoint` ends
 MOST_ITERATIONS = 40
-DEPTH = 3  # earlier iterates that Anderson's acceleration combines
+DEPTH = 6  # earlier iterates that Anderson's acceleration combines
 
 
 def euler(x, velocity, dt):
