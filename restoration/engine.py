@@ -162,7 +162,8 @@ class StokesEngine:
 
     def taken_over(self, state):
         """Return the state of another engine, on another mesh, as one of this."""
-        return State(state.time, self._nowhere(state.particles), state.lines)
+        particles = relocate(self._nowhere(state.particles), self.grid.index)
+        return State(state.time, particles, state.lines)
 
     def _first_lines(self):
         lines = begin(self.scene.lines, self.cell_size / LINE_POINTS_PER_CELL)
