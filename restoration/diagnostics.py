@@ -54,7 +54,7 @@ def relief(lines):
     }
 
 
-def line_distances(before, after):
+def line_distances(before, after, kept=None):
     """Return the distances between lines of the same name, one entry per name; no edges of faults.
 
     Every vertex of one set is measured to the nearest point of the other set, both ways, so that
@@ -62,21 +62,35 @@ def line_distances(before, after):
 
     Args:
         before, after: `scene.Line`s.
+        kept: which vertices of each line count, shape (n,) each, the same ones in both; None of
+            all. Of lines that lost or won vertices on the way none can be told from another.
 
     Returns:
-        List of ``{name, kind, mean_m, max_m}`` in the order of ``before``.
+        List of ``{name, kind, mean_m, max_m}`` in the order of ``before``; None where no vertex
+        counts.
     """
     rows = []
+    if kept is None:
+        kept = [np.ones(len(line.points), bool) for line in before]
+    edges = [line.kind != "edge" for line in before]
+    kept = [rows for rows, edge in zip(kept, edges, strict=True) if edge]
     before, after = ([line for line in lines if line.kind != "edge"] for lines in (before, after))
     for name, kind in dict.fromkeys((line.name, line.kind) for line in before):
         one, two = (
             [line.points for line in lines if line.name == name] for lines in (before, after)
         )
+        counts = [rows for line, rows in zip(before, kept, strict=True) if line.name == name]
         distance, length = (
             np.concatenate(pair) for pair in zip(_to_set(one, two), _to_set(two, one), strict=True)
         )
+        if not np.all(np.concatenate(counts)):
+            counts = np.concatenate([*counts, *counts])
+            distance, length = distance[counts], length[counts]
         mean = float(np.average(distance, weights=length)) if length.any() else 0.0
-        rows.append({"name": name, "kind": kind, "mean_m": mean, "max_m": float(distance.max())})
+        most = float(distance.max()) if len(distance) else None
+        rows.append(
+            {"name": name, "kind": kind, "mean_m": None if most is None else mean, "max_m": most}
+        )
     return rows
 
 

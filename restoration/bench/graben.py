@@ -22,26 +22,37 @@ MEAN, MOST = 0.5, 6.25  # m: what is held to; the latter is one of the paper's f
 FORWARD, BACKWARD = "[0 kyr, 35 kyr]", "[35 kyr, 0 kyr]"
 # Across the finest cells of the paper, 6.25 m, at Courant number 0.0085 with 10 mm/yr for 35 kyr.
 PAPER_STEPS = 350 / (0.0085 * 6.25)
+# Cells and steps there and back, by whether it is to be quick.
+WAYS = {True: (([36, 12], 18), ([42, 14], 16)), False: (([36, 12], 28), ([42, 14], 20))}
 
 
 def run_graben(quick=False):
     """Graben of the paper, sect. 4.3: errors of every interface against another forward run."""
-    there, back = (([36, 12], 18), ([42, 14], 16)) if quick else (([36, 12], 28), ([42, 14], 20))
+    there, back = WAYS[quick]
     # So coarse the surface comes back with a spike where a band crops out: its rows only inform.
     held = ("horizon",) if quick else ("horizon", "surface")
-    yield from _rows("independent", _scene(*there, FORWARD), _scene(*back, BACKWARD), held)
+    yield from _rows("independent", scene(*there, FORWARD), scene(*back, BACKWARD), held)
     if not quick:
         # Cells so small that they divide the bands otherwise: what limits the figures above.
         there, back = ([45, 15], 18), ([54, 18], 16)
         case = "bands divided otherwise"
-        yield from _rows(case, _scene(*there, FORWARD), _scene(*back, BACKWARD), held=())
+        yield from _rows(case, scene(*there, FORWARD), scene(*back, BACKWARD), held=())
 
 
-def _scene(cells, steps, marks):
+def scene(cells, steps, marks):
     if not CASE.is_file():
         raise CaseError(f"{CASE}: is missing; the graben needs the cases of a checkout")
     entries = {"mesh.cells": cells, "time.min_steps": steps, "time.marks": marks}
     return load(CASE, [f"{name}={value}" for name, value in entries.items()]).scene
+
+
+def restored(forward, backward):
+    """Return where a section began, turned and came back to, and the engines there and back."""
+    engine, restorer = StokesEngine(forward), StokesEngine(backward)
+    start = engine.start()
+    deformed = march(start, engine, forward.time)
+    end = march(restorer.taken_over(deformed), restorer, backward.time)
+    return start, deformed, end, engine, restorer
 
 
 def _profile(start, end, name):
@@ -64,12 +75,9 @@ def _rows(case, forward, backward, held):
         forward, backward: the scenes.
         held: kinds of the lines whose errors are held to a bound.
     """
-    clock, engine = Clock(), StokesEngine(forward)
-    start = engine.start()
-    deformed = march(start, engine, forward.time)
+    clock = Clock()
+    start, deformed, end, engine, restorer = restored(forward, backward)
     scarp = float(np.ptp(surface_of(deformed.lines).points[:, 1]))
-    restorer = StokesEngine(backward)
-    end = march(restorer.taken_over(deformed), restorer, backward.time)
     about = {
         "unknowns": restorer.grid.spaces.unknowns,
         "cells": restorer.section.cell_count,
