@@ -32,7 +32,7 @@ from restoration.scene import WALLS, Line, Outline
 from restoration.state import State
 from restoration.step import Step
 from restoration.stokes import Counts
-from restoration.surface import ROUGH, line_area, standing
+from restoration.surface import line_area, standing
 from restoration.surface_modes import SETTLINGS
 from restoration.units import show
 
@@ -173,20 +173,17 @@ class StokesEngine:
         return lines + begin([top], self.cell_size / SURFACE_POINTS_PER_CELL)
 
     def _take(self, section, lines, regions=None):
-        """Go on with a new mesh, which follows the surface."""
+        """Go on with a new mesh, which follows the surface or, fitted, the lines."""
         if self.grid is not None:
             self.grid.stokes.release()
-        self.grid = Grid(self.scene, section, self.counts, regions)
+        self.grid = Grid(self.scene, section, self.counts, regions, lines)
         self.meshes += 1
         line = surface_of(lines)
-        if line is None:
-            return
-        points = standing(line.points)[0]
-        # A fitted mesh follows too: nodes on the line make chords, which lie below its crests. Not
-        # beside scarps, where it has nodes on every corner.
-        if regions is not None and self.grid.top.roughness(points) > ROUGH:
-            self.grid.index.moved(self.grid.top.line)
-        elif not self.grid.follow(points):
+        if regions is not None:
+            # As it was made its nodes are on the lines; where it cannot better that it stays so.
+            if not self.grid.fit(lines) and line is not None:
+                self.grid.index.moved(self.grid.top.line)
+        elif line is not None and not self.grid.follow(standing(line.points)[0]):
             raise MeshError(
                 "the cells below the surface lose their shape: it is too steep for columns; "
                 "raise mesh.cells"
@@ -230,12 +227,20 @@ class StokesEngine:
             return particles
         return relocate(particles, self.grid.index)
 
-    def fit(self, particles, lines):
-        """Make a mesh that follows the lines; return the particles located in it."""
+    def fit(self, particles, lines, rows=None, begins=True):
+        """Move the mesh to the lines, or make one for them; return the particles located in it.
+
+        Args:
+            particles: `Particles`.
+            lines, rows, begins: see `Contacts.follow`.
+        """
         with self.timed("mesh"):
-            section, points = self.mesher.mesh(lines)
             particles = self._nowhere(particles)
-            self._take(section, lines, (particles, points, areas(lines)))
+            if begins:
+                self.grid.contacts.hold(lines)
+            if not self.grid.fit(lines, rows, begins):
+                section, points = self.mesher.mesh(lines)
+                self._take(section, lines, (particles, points, areas(lines)))
             self._guard_rocks()
             return relocate(particles, self.grid.index)
 
@@ -339,7 +344,8 @@ class StokesEngine:
         dt, state = until - state.time, move.state
         with self.timed("advect"):
             moved = move.parts(self._on_walls(x[: move.fixed]))
-            lines = self.with_ends(state.lines, with_points(state.lines, moved["lines"]))
+            rows = with_points(state.lines, moved["lines"])
+            lines = self.with_ends(state.lines, rows)
             lines = refined(
                 lines,
                 self.cell_size / LINE_POINTS_PER_CELL,
@@ -353,6 +359,7 @@ class StokesEngine:
         with self.timed("advect"):
             particles = self._through_walls(particles, lines, moved)
         if self.fitted:  # the mesh they will be in is yet to come
+            self.grid.contacts.carry(rows, lines)
             return State(until, self._nowhere(particles), lines)
         if self.surface:
             particles = self._carried(particles, lines)

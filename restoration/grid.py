@@ -9,12 +9,14 @@ from scipy.spatial import cKDTree
 
 from forms.elements import ELEMENTS
 from meshes.split import barycentric_mesh
+from restoration.contacts import Contacts
+from restoration.lines import surface_of
 from restoration.particles import CellIndex, relocate
 from restoration.sampling import VelocitySampler
 from restoration.snapshot import FieldSnapshot
 from restoration.spaces import Spaces
 from restoration.stokes import StokesProblem
-from restoration.surface import Top
+from restoration.surface import ROUGH, Top, standing
 from restoration.transfer import FittedFields, RockFields
 
 
@@ -27,13 +29,15 @@ class Grid:
         counts: `stokes.Counts` to go on with, or None.
         regions: of a fitted mesh, (particles, points, bands): what tells the unit of every region,
             see `units_of_regions`; None where particles carry the rock.
+        lines: `lines.MovingLine`s of a fitted mesh, as it was made for them.
 
     Attributes:
         section, spaces, index, fields, stokes, sampler: the parts.
         top: `surface.Top` of a free surface, else None.
+        contacts: `Contacts` of a fitted mesh, else None.
     """
 
-    def __init__(self, scene, section, counts=None, regions=None):
+    def __init__(self, scene, section, counts=None, regions=None, lines=()):
         pair = ELEMENTS[scene.mesh.element]
         section = barycentric_mesh(section) if pair.split else section
         air = scene.air
@@ -67,13 +71,14 @@ class Grid:
             scene.walls,
             scene.gravity,
             scene.closed,
-            scene.one_viscosity and not scene.free,
+            scene.one_viscosity and not scene.free and regions is None,
             scene.solver,
             counts,
             self.top,
             self.fields.on_facets,
         )
         self.sampler = VelocitySampler(self.spaces)
+        self.contacts = None if regions is None else self._contacts(scene, lines)
         self._share = {"triangle": 4, "quadrilateral": 1}[section.cell] * (3 if pair.split else 1)
         self._u = fem.Function(self.spaces.V)
         rock = self.top.rock if self.top else 1
@@ -84,6 +89,24 @@ class Grid:
     def sizes(self):
         """Side of the square that is split into cells of this area, shape (cells,), m."""
         return np.sqrt(self._share * self.index.area)
+
+    def fit(self, lines, rows=None, begins=False):
+        """Move a fitted mesh to lines; return whether its cells have kept their shape.
+
+        Args:
+            lines, rows, begins: see `Contacts.follow`.
+        """
+        if not self.contacts.follow(lines, rows, begins):
+            return False
+        self._snapshot = None
+        self.index.moved(self.top.line if self.top else None)
+        return True
+
+    def _contacts(self, scene, lines):
+        surface = surface_of(lines)
+        rough = surface is not None and self.top.roughness(standing(surface.points)[0]) > ROUGH
+        crossed = [name for name in ("left", "right") if scene.normal_velocity(name) != 0]
+        return Contacts(self.section, self.spaces, lines, crossed, rough)
 
     def follow(self, points):
         """Move the mesh after a surface line; return whether its cells have kept their shape."""

@@ -106,10 +106,10 @@ class Step:
     def _solved(self, x, time):
         engine, state = self.engine, self.state
         at = replace(state.particles, x=x[: self.particles])
-        lines = with_points(state.lines, x[self._rows["lines"]])
-        lines = engine.with_ends(state.lines, lines)
+        rows = with_points(state.lines, x[self._rows["lines"]])
+        lines = engine.with_ends(state.lines, rows)
         if engine.fitted:
-            at = engine.fit(at, lines)
+            at = engine.fit(at, lines, rows=None if lines is rows else rows, begins=False)
             cell, hats = self._located(x[: self.fixed])
         else:
             engine.stand(lines)

@@ -134,8 +134,8 @@ class Top:
         dofs = fem.locate_dofs_topological(hats, 1, facets)
         self.dofs = dofs[np.argsort(self._made[dofs, 0])]
         self._corners = spaces.h_nodes[:, [0, 1, 3, 2] if section.cell == "quadrilateral" else ...]
-        self._shape = _shape(self._made[self._corners])
-        self._spread = self._extensions()
+        self._shape = cell_shapes(self._made[self._corners])
+        self._extension = Extension(spaces, self._held(), self.dofs)
         self._u = fem.Function(spaces.V)
         self._flux = fem.form(self.over(self.rock * ufl.dot(self._u, self.n)))
 
@@ -193,42 +193,58 @@ class Top:
             )
             goal[1:-1] = shapely.get_coordinates(near)[1:-1]
             goal[[0, -1], 1] = np.interp(made[[0, -1], 0], *points.T)
-        moved = self._made.copy()
-        for axis, (solve, free, held) in self._spread.items():
-            push = np.zeros(len(moved))
-            push[self.dofs] = goal[:, axis] - made[:, axis]
-            push[free] = solve(-held @ push)
-            moved[:, axis] += push
-        kept = _shape(moved[self._corners]) / self._shape
+        moved = self._made + self._extension(goal - made)
+        kept = cell_shapes(moved[self._corners]) / self._shape
         if not kept.min() > WORST_SHAPE:
             return False
         self.section.mesh.geometry.x[self._geometry, :2] = moved
         self.index.moved(goal)
         return True
 
-    def _extensions(self):
-        """Return, by axis, the solver of the nodes that give way, their rows, and what holds."""
-        spaces, section = self.spaces, self.section
+    def _held(self):
+        """Return, by axis, which nodes stand."""
+        walls = {1: ("base", "surface"), 0: ("base", "surface", "left", "right")}
+        held = {}
+        for axis in (1,) if self.motion == "vertical" else (1, 0):
+            held[axis] = np.zeros(len(self._made), bool)
+            for name in walls[axis]:
+                facets = self.section.facet_tags.find(self.section.wall_tags[name])
+                held[axis][fem.locate_dofs_topological(self.spaces.H, 1, facets)] = True
+        return held
+
+
+class Extension:
+    """The harmonic extension of what some nodes of a mesh move by, from the mesh as it is now.
+
+    Args:
+        spaces: `Spaces`.
+        held: which nodes of `Spaces.H` stand, by axis; no node moves along an axis without entry.
+        nodes: those that are moved, which count before those that stand.
+    """
+
+    def __init__(self, spaces, held, nodes):
+        self._nodes, self._axes = nodes, {}
         d, w = ufl.TrialFunction(spaces.H), ufl.TestFunction(spaces.H)
-        form = fem.form(spread_form(d, w, section.mesh, spaces.dx))
+        form = fem.form(spread_form(d, w, spaces.section.mesh, spaces.dx))
         assembled = fem.petsc.assemble_matrix(form)
         assembled.assemble()
         stiffness = csr_matrix(assembled.getValuesCSR()[::-1], shape=assembled.getSize())
         assembled.destroy()
-        walls = {1: ("base", "surface"), 0: ("base", "surface", "left", "right")}
-        axes = (1,) if self.motion == "vertical" else (1, 0)
-        found = {}
-        for axis in axes:
-            free = np.ones(stiffness.shape[0], bool)
-            free[self.dofs] = False
-            for name in walls[axis]:
-                facets = section.facet_tags.find(section.wall_tags[name])
-                free[fem.locate_dofs_topological(spaces.H, 1, facets)] = False
+        for axis, standing_nodes in held.items():
+            free = ~standing_nodes
+            free[nodes] = False
             rows = np.flatnonzero(free)
             factors = splu(stiffness[rows][:, rows].tocsc())
-            held = stiffness[rows].copy()
-            found[axis] = factors.solve, rows, held
-        return found
+            self._axes[axis] = factors.solve, rows, stiffness[rows].copy()
+        self._count = stiffness.shape[0]
+
+    def __call__(self, push):
+        """Return what all nodes move by, shape (nodes, 2), m, for what those given do, (m, 2)."""
+        moves = np.zeros((self._count, 2))
+        for axis, (solve, free, held) in self._axes.items():
+            moves[self._nodes, axis] = push[:, axis]
+            moves[free, axis] = solve(-held @ moves[:, axis])
+        return moves
 
 
 def _ground(section):
@@ -241,7 +257,7 @@ def _ground(section):
     return np.flatnonzero(air[pair[0]] != air[pair[1]]).astype(np.int32)
 
 
-def _shape(corners):
+def cell_shapes(corners):
     """Return the shape of cells, shape (cells,): signed area over the sum of squared edges.
 
     Of a quadrilateral the worst of the triangles at its corners counts.

@@ -10,7 +10,7 @@ ROOT = Path(__file__).parents[1]
 
 ORDER = {
     "forms": ["elements", "rheology", "stokes", "surface", "mesh_motion"],
-    "meshes": ["data", "box", "arrays", "split", "refine", "noding", "curves", "section"],
+    "meshes": ["data", "box", "arrays", "split", "refine", "noding", "curves", "chains", "section"],
     "restoration": [
         "errors",
         "words",
@@ -53,6 +53,7 @@ ORDER = {
         "stokes",
         "snapshot",
         "surface",
+        "contacts",
         "grid",
         "mesher",
         "topography",

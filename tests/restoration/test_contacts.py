@@ -1,0 +1,154 @@
+"""Fitted meshes that move with the rock: areas, orders in time, the way back, new meshes."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from restoration.diagnostics import line_distances, there_and_back, volume_by_rock
+from restoration.engine import StokesEngine
+from restoration.lines import as_drawn, points_of, with_points
+from restoration.run import march
+from restoration.scene import Line, MeshPlan, TimePlan
+from tests.restoration.conftest import HEIGHT, MYR, WIDTH, diapir_scene
+
+FITTED = MeshPlan(interfaces="fitted")
+TWO = (1e18, 1e20)
+
+
+def journey(scene):
+    """Run a scene; return the engine, its states at the marks, and areas of salt at the steps.
+
+    The areas are those of the mesh and below the tracked horizon, shape (steps, 2), m^2.
+    """
+    engine, states, salt = StokesEngine(scene), [], []
+
+    def note(_, state):
+        mesh = volume_by_rock(scene, state.grid, state.particles)["salt"]
+        salt.append((mesh, below(state.lines[0].points)))
+
+    march(
+        engine.start(),
+        engine,
+        scene.time,
+        every_step=(note,),
+        at_marks=(lambda _, state: states.append(state),),
+    )
+    return engine, states, np.array(salt)
+
+
+def below(points):
+    """Return the area below a horizon that goes from side to side, m^2; it may overhang."""
+    x, z = np.vstack([points, [[WIDTH, -HEIGHT], [0, -HEIGHT]]]).T
+    return 0.5 * abs(np.dot(x, np.roll(z, 1)) - np.dot(z, np.roll(x, 1)))
+
+
+@pytest.mark.parametrize("viscosity", [(1e19, 1e19), TWO])
+def test_areas_by_rock_are_those_between_the_lines(viscosity):
+    engine, states, salt = journey(diapir_scene(mesh=FITTED, viscosity=viscosity))
+    assert np.abs(salt[:, 0] / salt[:, 1] - 1).max() < 1e-9
+    assert engine.meshes < 4 < engine.counts.solves  # not one for every stage
+    first, top, last = states
+    assert first.time == last.time != top.time
+    (row,) = line_distances(as_drawn(first.lines), as_drawn(last.lines))
+    assert row["max_m"] < 0.5
+    assert last.particles.lost == 0
+
+
+def test_a_level_contact_stays():
+    top = Line("salt / sediment", "horizon", np.array([[0, -4000], [WIDTH, -4000.0]]))
+    scene = diapir_scene(
+        mesh=FITTED, lines=(top,), unit_at=lambda p: (p[:, 1] > -4000).astype(np.int16)
+    )
+    engine, states, _ = journey(scene)
+    assert engine.meshes == 1
+    assert states[-1].lines[0].points[:, 1] == pytest.approx(-4000, abs=1e-6)
+
+
+def test_the_mesh_is_a_function_of_the_lines():
+    """Away and back it stands where it stood; nodes of walls stay on them."""
+    engine = StokesEngine(diapir_scene(mesh=FITTED))
+    state = engine.with_flow(engine.start())
+    grid = engine.grid
+    before = grid.section.mesh.geometry.x.copy()
+    points = points_of(state.lines)
+    lifted = points + np.column_stack([0 * points[:, 0], 200 * np.sin(points[:, 0] / 1500)])
+    assert grid.fit(with_points(state.lines, lifted))
+    moved = grid.section.mesh.geometry.x.copy()
+    assert np.abs(moved - before).max() > 100
+    assert grid.section.area == pytest.approx(WIDTH * HEIGHT)
+    assert grid.index.area.sum() == pytest.approx(WIDTH * HEIGHT)
+    assert grid.fit(state.lines)
+    assert np.array_equal(grid.section.mesh.geometry.x, before)
+    far = points + [0, 9000.0]
+    assert not grid.fit(with_points(state.lines, far))
+    assert np.array_equal(grid.section.mesh.geometry.x, before)
+
+
+def test_lines_of_another_state_get_a_mesh_of_their_own():
+    engine = StokesEngine(diapir_scene(mesh=FITTED))
+    state = engine.with_flow(engine.start())
+    points = points_of(state.lines) + [0, 1500.0]
+    unit = state.particles.unit * (state.particles.x[:, 1] > -6500).astype(np.int16)
+    engine._rock_areas = None
+    engine.with_flow(
+        replace(
+            state,
+            flow=None,
+            lines=with_points(state.lines, points),
+            particles=replace(state.particles, unit=unit),
+        )
+    )
+    assert engine.meshes == 2
+
+
+@pytest.mark.parametrize(
+    ("scheme", "least"),
+    [("midpoint", 1.85), ("implicit-midpoint", 1.9), ("rk3", 2.8), ("rk4", 3.5)],
+)
+def test_orders_in_time_while_the_mesh_only_moves(scheme, least):
+    """Two viscosities: where particles carry the rock rk4 loses an order, fitted it does not."""
+    ends = []
+    for name, steps in ((scheme, 3), (scheme, 6), ("rk4", 16)):
+        tolerance = 1e-5 if name == "implicit-midpoint" else None
+        plan = TimePlan((0.0, 0.4 * MYR), name, 1e9, steps, tolerance)
+        engine = StokesEngine(diapir_scene(mesh=FITTED, viscosity=TWO, time=plan))
+        ends.append(points_of(march(engine.start(), engine, plan).lines))
+        assert engine.meshes == 1
+    gap = [np.linalg.norm(end - ends[-1], axis=1).mean() for end in ends[:-1]]
+    assert np.log2(gap[0] / gap[1]) > least
+
+
+def test_the_implicit_midpoint_rule_comes_back_on_a_mesh_that_moves():
+    plan = TimePlan((0.0, 0.4 * MYR, 0.0), "implicit-midpoint", 1e9, 4, 1e-5)
+    engine = StokesEngine(diapir_scene(mesh=FITTED, viscosity=TWO, time=plan))
+    end = march(engine.start(), engine, plan)
+    assert there_and_back(end.particles)[1]["max_m"] < 1e-2
+    assert line_distances(engine.scene.lines, as_drawn(end.lines))[0]["max_m"] < 1e-3
+
+
+def test_a_refused_step_begins_anew_where_it_was():
+    def end(tolerance):
+        plan = TimePlan((0.0, 1.0 * MYR), "rk3", 1e9, 1, tolerance)
+        engine = StokesEngine(diapir_scene(mesh=FITTED, time=plan))
+        return points_of(march(engine.start(), engine, plan).lines), engine
+
+    (coarse, first), (exact, _) = end(3.0), end(0.01)
+    assert first.rejected > 0
+    assert np.linalg.norm(coarse - exact, axis=1).mean() < 5.0
+
+
+def test_a_mirrored_section_gives_the_mirrored_mesh_run():
+    scene = diapir_scene(mesh=FITTED, marks=(0, 1))
+    turned = diapir_scene(
+        mesh=FITTED,
+        marks=(0, 1),
+        lines=tuple(
+            replace(line, points=(line.points * [-1, 1] + [WIDTH, 0])[::-1]) for line in scene.lines
+        ),
+        unit_at=lambda p: scene.unit_at(p * [-1, 1] + [WIDTH, 0]),
+    )
+    ends = [journey(one)[1][-1].lines[0].points for one in (scene, turned)]
+    mirrored = (ends[1] * [-1, 1] + [WIDTH, 0])[::-1]
+    off = np.linalg.norm(ends[0] - mirrored, axis=1)
+    assert off.max() < 0.05 * np.ptp(ends[0][:, 1])  # gmsh makes another mesh of it
