@@ -3,14 +3,17 @@
 The ``hat`` projection weighs every particle by the linear hat functions of the vertices around
 it, so the field is continuous in the particle positions; high order in time needs that. The means
 per cell and around quadrature points are those of the paper (sect. 3.4). A ``linear`` one fits a
-plane to the particles of every cell. Where mesh lines follow the rock nothing is averaged.
+plane to the particles of every cell. The ``projection`` takes the smoothing of the hat means back,
+so that its moments against the hats are those of the particles; it overshoots beside a jump, which
+a density bears and a viscosity does not. Where mesh lines follow the rock nothing is averaged.
 """
 
 import basix
 import numba
 import numpy as np
 from dolfinx import fem
-from scipy.sparse import csr_matrix
+from scipy.sparse import coo_matrix, csr_matrix, identity
+from scipy.sparse.linalg import splu
 
 from forms.rheology import VISCOSITY_OF_MEAN
 from meshes.box import AIR
@@ -20,6 +23,7 @@ from restoration.spaces import nodes
 # Weight of the particles of neighbouring vertices in a hat mean, for every cell they share. It
 # keeps the field smooth where a vertex loses the last particle of its own: see docs/accuracy.md.
 BACKGROUND = 0.1
+MASS_DEGREE = 3  # of the quadrature of the mass matrix, exact on squares that are not skew
 
 # f of `forms.rheology`, for the values of the particles.
 AVERAGED = {
@@ -62,6 +66,7 @@ class RockFields:
         self._density = np.asarray(density, float)
         self._mean = AVERAGED[transfer.mean](np.asarray(viscosity, float))
         space = {"hat": spaces.H, "cell": spaces.D, "quadrature": spaces.P}
+        space["projection"] = spaces.H
         if "linear" in (transfer.density, transfer.viscosity):
             family = "DQ" if spaces.section.cell == "quadrilateral" else "DG"
             space["linear"] = fem.FunctionSpace(spaces.section.mesh, (family, 1))
@@ -81,6 +86,9 @@ class RockFields:
         self._around = None
         self._vertices = int(spaces.h_nodes.max()) + 1
         self._hats = np.full((self._vertices, 2), np.nan)
+        self._sharpened = None
+        if transfer.density == "projection":
+            self._sharpened = Sharpening(spaces, index, ~self.in_air)
 
     def fill(self, x, cell, weights, unit, area):
         """Fill the fields from particles.
@@ -145,6 +153,8 @@ class RockFields:
     def _values(self, kind, column, hats, x, cell, weights, unit, area):
         if kind == "hat":
             return hats[:, column]
+        if kind == "projection":
+            return self._sharpened(hats[:, column])
         table = (self._density, self._mean)[column]
         fallback = hats[self.spaces.h_nodes, column].mean(axis=1)
         if kind == "cell":
@@ -167,6 +177,57 @@ class RockFields:
             points, radius, x[order], values[order], area[order], first, *self._around, fallback
         )
         return means.ravel()
+
+
+class Sharpening:
+    """Takes the smoothing of hat means back: from them to the linear field with their moments.
+
+    With particles that lie evenly the mean at a vertex is the integral of the density times a wide
+    hat, over that of the wide hat alone, and the wide hats are B times the hats,
+
+        B = I + BACKGROUND sum of 1_c 1_c^T over the cells c.
+
+    So the moments against the hats are y of ``B y = S mean``, S the integrals of the wide hats, and
+    the field is ``M rho = y`` with the mass matrix M. Constants are kept, however particles lie.
+
+    Args:
+        spaces: `Spaces`.
+        index: `CellIndex` of the same mesh, which may move.
+        rock: which cells hold particles, shape (cells,), bool; the field elsewhere is the mean.
+    """
+
+    def __init__(self, spaces, index, rock):
+        self._index, self._rock, self._corners = index, rock, None
+        nodes = spaces.h_nodes
+        self._inner = np.unique(nodes[rock])
+        number = np.zeros(int(nodes.max()) + 1, np.int64)
+        number[self._inner] = np.arange(len(self._inner))
+        self._nodes = number[nodes[rock]]
+        cell = getattr(basix.CellType, spaces.section.cell)
+        points, self._weights = basix.make_quadrature(cell, MASS_DEGREE)
+        hats = basix.create_element(basix.ElementFamily.P, cell, 1).tabulate(1, points)[..., 0]
+        self._hats, self._slopes = hats[0], hats[1:]
+        n, k = nodes.shape
+        shared = _summed(nodes, np.ones((n, k, k)), len(number))[self._inner][:, self._inner]
+        self._wide = (identity(len(self._inner)) + BACKGROUND * shared).tocsc()
+        self._narrowed = _factor(self._wide)
+
+    def __call__(self, means):
+        """Return the values at the vertices that have the moments of means, shape (vertices,)."""
+        if self._index.corners is not self._corners:
+            self._find_mass()
+        values, inner = means.copy(), self._inner
+        values[inner] = self._mass.solve(self._narrowed.solve(self._size * means[inner]))
+        return values
+
+    def _find_mass(self):
+        self._corners = self._index.corners
+        r, s = np.einsum("aqk,ckd->acqd", self._slopes, self._corners[self._rock])
+        weight = np.abs(r[..., 0] * s[..., 1] - r[..., 1] * s[..., 0]) * self._weights
+        mass = np.einsum("cq,qi,qj->cij", weight, self._hats, self._hats, optimize=True)
+        mass = _summed(self._nodes, mass, len(self._inner))
+        self._size = self._wide @ np.asarray(mass.sum(axis=1)).ravel()
+        self._mass = _factor(mass)
 
 
 class FittedFields:
@@ -202,6 +263,19 @@ class FittedFields:
 def cell_means(function):
     """Return the mean of the values of a function in every cell, shape (cells,)."""
     return function.x.array[nodes(function.function_space)].mean(axis=1)
+
+
+def _summed(nodes, parts, n):
+    """Return the sum of small matrices of the cells, shape (cells, k, k), as a sparse one."""
+    rows = np.broadcast_to(nodes[:, :, None], parts.shape)
+    columns = np.broadcast_to(nodes[:, None, :], parts.shape)
+    return coo_matrix((parts.ravel(), (rows.ravel(), columns.ravel())), (n, n)).tocsc()
+
+
+def _factor(matrix):
+    """Return the factors of a symmetric positive definite matrix."""
+    options = {"SymmetricMode": True}
+    return splu(matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=options)
 
 
 @numba.njit(cache=True)
