@@ -12,7 +12,7 @@ MYR = 1e6 * YEAR
 
 # The SI value of every unit; the everyday one comes first.
 UNITS = {
-    "length": {"km": 1e3, "m": 1.0, "cm": 1e-2},
+    "length": {"km": 1e3, "m": 1.0, "cm": 1e-2, "mm": 1e-3},
     "time": {"Myr": 1e6 * YEAR, "kyr": 1e3 * YEAR, "yr": YEAR, "s": 1.0},
     "age": {"Ma": 1e6 * YEAR, "ka": 1e3 * YEAR},
     "density": {"kg/m^3": 1.0, "g/cm^3": 1e3},
