@@ -4,7 +4,7 @@ from pathlib import Path
 
 from pydantic import BaseModel, ValidationError
 
-from restoration.entries import OPTIONS, Boundary, Case, RockEntry
+from restoration.entries import ELEMENTS, OPTIONS, QUADRATIC, Boundary, Case, RockEntry
 from restoration.errors import CaseError
 from restoration.fault_entries import wrong_faults
 from restoration.files import read_text
@@ -233,6 +233,11 @@ def _mesh_faults(tree):
     if fitted and isinstance(refine, dict) and "every" in refine:
         message = "a fitted mesh is made anew for every flow; remove it"
         faults.append(tree.fault((*at, "refine", "every"), message, at="key"))
+    if element in ELEMENTS and element not in QUADRATIC:
+        if tree.raw(("particles", "velocity")) == "conservative":
+            message = f"the velocity of {element} cannot be made free of divergence at every point"
+            message = f"{message}; take plain, or {listed(QUADRATIC, last='or')}"
+            faults.append(tree.fault(("particles", "velocity"), message))
     return faults + _solver_faults(tree)
 
 

@@ -26,6 +26,7 @@ SCHEMES = ("rk4", "rk3", "midpoint", "implicit-midpoint", "paper", "euler")
 TOLERANT = ("rk3", "implicit-midpoint")  # which take a tolerance of the error of a step
 COLOR = re.compile(r"#[0-9a-fA-F]{6}")
 ELEMENTS = ("P2-P1", "P2b-P1dg", "P2-P1dg", "MINI", "Q2-Q1", "Q2-P1dg")
+QUADRATIC = ("P2-P1", "P2b-P1dg", "P2-P1dg")  # velocities that can be made free of divergence
 REFINED_AT = ("interfaces", "faults", "velocity-gradient")
 # Options of PETSc that a case may give: those that the solvers heed. Viewers and monitors are not
 # among them: they can write files, and a case file must not.
@@ -382,6 +383,7 @@ class Particles(Entry):
     densify: Annotated[int, Field(ge=1, le=1000)] = 5
     jitter: Annotated[float, Field(ge=0, le=1)] = 0.5
     seed: Annotated[int, Field(ge=0, le=2**32 - 1)] = 1
+    velocity: words("conservative", "plain") | None = None
 
 
 class Transfer(Entry):

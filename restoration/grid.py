@@ -9,10 +9,10 @@ from scipy.spatial import cKDTree
 
 from forms.elements import ELEMENTS
 from meshes.split import barycentric_mesh
+from restoration.conservative import velocity_sampler
 from restoration.contacts import Contacts
 from restoration.lines import surface_of
 from restoration.particles import CellIndex, relocate
-from restoration.sampling import VelocitySampler
 from restoration.snapshot import FieldSnapshot
 from restoration.spaces import Spaces
 from restoration.stokes import StokesProblem
@@ -77,7 +77,7 @@ class Grid:
             self.top,
             self.fields.on_facets,
         )
-        self.sampler = VelocitySampler(self.spaces)
+        self.sampler = velocity_sampler(self.spaces, scene.particles.velocity)
         self.contacts = None if regions is None else self._contacts(scene, lines)
         self._share = {"triangle": 4, "quadrilateral": 1}[section.cell] * (3 if pair.split else 1)
         self._u = fem.Function(self.spaces.V)

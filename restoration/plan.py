@@ -61,6 +61,10 @@ def active(scene):
         f"steps by {scene.time.scheme}, "
         + ("one flow for each step" if frozen else "Stokes solved at every stage")
     )
+    if scene.particles.velocity == "plain":
+        parts.append("particles in the velocity of the elements, free of divergence on average")
+    else:
+        parts.append("particles in a velocity that is free of divergence at every point")
     parts += _surface(scene)
     if not scene.sealed:
         parts.append("rock leaves through open walls, and flows in as the column that stands there")

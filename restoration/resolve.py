@@ -6,6 +6,7 @@ from pathlib import Path
 
 from restoration.case import FILE_ENTRIES, read_case
 from restoration.entries import (
+    QUADRATIC,
     Case,
     Entry,
     Layer,
@@ -117,7 +118,7 @@ def _scene(case, shape, outline, walls, cells, title, notes):
     """Return the scene of a case whose parts have been found sound."""
     used = [name for name in case.rocks if name in shape.rocks]
     unused = [name for name in case.rocks if name not in shape.rocks]
-    notes = [*notes]
+    notes, quadratic = [*notes], case.mesh.element in QUADRATIC
     if unused:
         notes.append(f"rocks not in the section: {listed(unused, last='and')}")
     colors = unit_colors(
@@ -144,6 +145,7 @@ def _scene(case, shape, outline, walls, cells, title, notes):
             case.particles.densify,
             float(case.particles.jitter),
             case.particles.seed,
+            case.particles.velocity or ("conservative" if quadratic else "plain"),
         ),
         transfer=Transfer(case.transfer.density, case.transfer.viscosity, case.transfer.mean),
         time=TimePlan(
@@ -213,7 +215,10 @@ def resolved_yaml(case, scene, digest=None):
         if case.mesh.refine:  # for every flow
             del entries["mesh"]["refine"]["every"]
     entries["solver"]["options"] = dict(case.solver.options)
-    entries["particles"]["per_cell"] = scene.particles.per_cell
+    entries["particles"] |= {
+        "per_cell": scene.particles.per_cell,
+        "velocity": scene.particles.velocity,
+    }
     entries["time"] |= {"courant": scene.time.courant, "min_steps": scene.time.min_steps}
     for name, model in (("particles", Particles), ("time", Time)):
         entries[name] = _in_order(entries[name], model)

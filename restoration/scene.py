@@ -169,19 +169,22 @@ class Outline:
 
 @dataclass(frozen=True)
 class ParticlePlan:
-    """How the particles are seeded.
+    """How the particles are seeded, and what they move in.
 
     Attributes:
         per_cell: particles per mesh cell away from the horizons (mean).
         densify: how many times more within one cell size of a horizon.
         jitter: 0 for a regular pattern, 1 for a jitter of a full spacing.
         seed: of the random numbers.
+        velocity: that they move in: ``conservative``, free of divergence at every point where the
+            elements allow it (see `conservative`), or ``plain``, that of the elements.
     """
 
     per_cell: int
     densify: int
     jitter: float
     seed: int
+    velocity: str = "conservative"
 
 
 @dataclass(frozen=True)

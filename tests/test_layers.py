@@ -47,6 +47,7 @@ ORDER = {
         "inflow",
         "transfer",
         "sampling",
+        "conservative",
         "boundary",
         "blocks",
         "solvers",
