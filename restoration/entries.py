@@ -7,7 +7,7 @@ import re
 from itertools import pairwise
 from typing import Annotated
 
-from pydantic import AfterValidator, Field, PlainValidator, field_validator
+from pydantic import AfterValidator, Field, PlainValidator, WrapValidator, field_validator
 
 from restoration.fault_entries import FaultEntry
 from restoration.kinds import Entry, Length, Name, Size, quantity, read_names, words
@@ -433,6 +433,18 @@ class Output(Entry):
     exaggeration: Annotated[float, Field(gt=0, le=100)] = 1.0
 
 
+class Certificate(Entry):
+    """What the certificate of a restoration is about."""
+
+    noise: quantity("length", above=0.0, high=1e5) = Quantity("1 m", 1.0)
+    tolerance: quantity("length", above=0.0, high=1e8) = Quantity("100 m", 100.0)
+
+
+def read_certificate(value, read):
+    """Return the entries of a certificate, or ``off``."""
+    return "off" if value == "off" or value is False else read(value)
+
+
 def not_empty(rocks):
     """Refuse an empty rock table."""
     if not rocks:
@@ -457,6 +469,7 @@ class Case(Entry):
     time: Time
     accuracy: words(*PRESETS) = "balanced"
     output: Output = Output()
+    certificate: Annotated[Certificate, WrapValidator(read_certificate)] = Certificate()
 
     def preset(self, group, name):
         """Return an entry, or what ``accuracy`` makes it."""

@@ -33,7 +33,16 @@ RECORD = {
     "factorisations": (),
     "krylov_iterations": (),
     "wall_s": (),
-    "wall_by_part_s": ("setup", "fields", "assemble", "solve", "advect", "surface", "output"),
+    "wall_by_part_s": (
+        "setup",
+        "fields",
+        "assemble",
+        "solve",
+        "advect",
+        "surface",
+        "output",
+        "certificate",
+    ),
     "peak_rss_mb": (),
     "area_change": (),
     "volume_by_rock_change": (),
@@ -43,6 +52,7 @@ RECORD = {
     "there_and_back": ("mean_m", "p99_m", "max_m"),
     "horizons": (),
     "restorability": ("gamma_max_per_s", "growth", "horizon_s", "verdict"),
+    "certificate": (),
 }
 
 

@@ -9,10 +9,13 @@ from pathlib import Path
 import numpy as np
 
 from restoration.canvas import time_text
+from restoration.certificate import certified, failed, report, sentences
+from restoration.certificate_figure import draw_certificate
+from restoration.companions import Follower, accompany
 from restoration.diagnostics import compared, relief, there_and_back, volume_by_rock
 from restoration.engine import StokesEngine
 from restoration.environment import versions
-from restoration.errors import RestorationError, StoppedError
+from restoration.errors import MeshError, RestorationError, SolveError, StoppedError
 from restoration.figures import draw_section, draw_strip, draw_there_and_back
 from restoration.layered import restorable
 from restoration.lines import as_drawn
@@ -26,7 +29,7 @@ from restoration.output import (
 from restoration.plan import counts_back, time_label
 from restoration.topography import dynamic_topography
 from restoration.units import MYR, show
-from restoration.writing import disk_faults
+from restoration.writing import disk_faults, write_text
 
 COLUMNS = (
     "step",
@@ -76,6 +79,8 @@ class Recorder:
         self._marks, self._volumes = [], []  # states at the marks passed, and area by rock
         self._last = None
         self._framed = -1.0  # elapsed time of the last frame
+        self._follower = Follower(self.scene) if self.scene.certificate else None
+        self._certificate_s = None
         self._path = float(np.abs(np.diff(self.scene.time.marks)).sum())
         with disk_faults(self.folder / "log.txt"):
             self._log = (self.folder / "log.txt").open("w", encoding="utf-8")
@@ -122,6 +127,8 @@ class Recorder:
             wall_s=time.perf_counter() - self._began,
             **self.engine.numbers(state),
         )
+        if self._follower:
+            self._follower.step(state)
         self._tell(state, dt)
         at = self.scene.output.at
         arrived = state.time == self.scene.time.marks[len(self._marks)]  # the mark writes its own
@@ -134,6 +141,8 @@ class Recorder:
         begin = time.perf_counter()
         if number == 0:
             self.say(f"{len(state.particles.x)} particles")
+        if self._follower:
+            self._follower.mark(number, state)
         before = self._marks[-1].time if self._marks else None
         self._last = state
         self._volumes.append(volume_by_rock(self.scene, state.grid, state.particles))
@@ -173,6 +182,8 @@ class Recorder:
             code = 0
         else:
             code = error.exit_code if isinstance(error, RestorationError) else BUG
+        if code in (SolveError.exit_code, MeshError.exit_code) and self._follower:
+            self.record["certificate"] = failed(self.scene, self._follower, error)
         try:
             # a second Ctrl-C may come in the middle of a step, with fields of one of its stages
             if isinstance(error, StoppedError) and self._last and self.elapsed > self._framed:
@@ -260,10 +271,35 @@ class Recorder:
             )
         self._output_s += time.perf_counter() - begin
 
+    def certify(self, march, check=None):
+        """Say what of a restoration can be trusted, by companions that restore it once more.
+
+        Args:
+            march: `run.march`.
+            check: called after every step of theirs.
+        """
+        follower = self._follower
+        if not follower or not follower.finished(self._last):
+            return
+        begin = time.perf_counter()
+        growth = accompany(
+            follower, self._make_engine, march, self.scene.certificate.noise, check=check
+        )
+        found = certified(self.scene, follower, growth, self.engine.cell_size)
+        self.record["certificate"] = found
+        draw_certificate(self.folder / "figures/certificate.png", self.scene, growth, found)
+        write_text(self.folder / "certificate.md", report(self.scene, found))
+        for line in sentences(found):
+            self.say(line)
+        self._certificate_s = round(time.perf_counter() - begin, 3)
+
     def _write_record(self, code):
         if self.engine is not None:
             work = self.engine.work()
-            work["wall_by_part_s"] |= {"output": round(self._output_s, 3)}
+            work["wall_by_part_s"] |= {
+                "output": round(self._output_s, 3),
+                "certificate": self._certificate_s,
+            }
             self.record |= work
         if self._last is not None:
             self.record |= relief(self._last.lines)

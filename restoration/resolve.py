@@ -23,6 +23,7 @@ from restoration.palette import unit_colors
 from restoration.scene import (
     WALLS,
     Air,
+    CertificatePlan,
     MeshPlan,
     OutputPlan,
     ParticlePlan,
@@ -171,7 +172,13 @@ def _scene(case, shape, outline, walls, cells, title, notes):
         ),
         solver=SolverPlan(case.solver.name, case.solver.options),
         surface=_surface(case.surface),
+        certificate=_certificate(case.certificate),
     )
+
+
+def _certificate(entry):
+    """Return the plan of the certificate, or None where it is off."""
+    return None if entry == "off" else CertificatePlan(entry.noise.si, entry.tolerance.si)
 
 
 def _surface(entry):

@@ -150,6 +150,8 @@ RUN_FILES = (
     "figures/section-*.png",
     "figures/strip.png",
     "figures/there-and-back.png",
+    "figures/certificate.png",
+    "certificate.md",
     "horizons/[0-9]*-*.geojson",
 )
 
@@ -254,6 +256,7 @@ def run_job(job, progress=None, stop=None):
                 at_marks=(recorder.mark, stop.check),
             )
             recorder.compare()
+            recorder.certify(march, stop.check)
         except StoppedError as stopped:
             recorder.end(stopped)
             raise StoppedError(f"stopped on request {recorder.reached()}; see {folder}") from None

@@ -308,6 +308,19 @@ class TimePlan:
 
 
 @dataclass(frozen=True)
+class CertificatePlan:
+    """What the certificate of a restoration is about.
+
+    Attributes:
+        noise: how well the given section is known, m, root mean square.
+        tolerance: mean error of a restored horizon or rock that can be borne, m.
+    """
+
+    noise: float = 1.0
+    tolerance: float = 100.0
+
+
+@dataclass(frozen=True)
 class OutputPlan:
     """What is written, and when.
 
@@ -357,6 +370,7 @@ class Scene:
         cloud: the particles where the case gives them, else None.
         notes: remarks on the input for the user, such as slivers that were closed.
         mesh, solver, surface: the plans of the mesh, the linear solver and a free surface.
+        certificate: `CertificatePlan`, or None for no certificate.
     """
 
     title: str
@@ -378,6 +392,7 @@ class Scene:
     solver: SolverPlan = SolverPlan()
     faults: tuple[Fault, ...] = ()
     surface: SurfacePlan = SurfacePlan()
+    certificate: CertificatePlan | None = CertificatePlan()
 
     @property
     def free(self):

@@ -138,7 +138,7 @@ def test_resolved_names_every_default(case):
     entries = YAML(typ="safe", pure=True).load(case().resolved)
     assert list(entries) == [
         "title", "section", "rocks", "boundary", "gravity", "mesh", "particles", "transfer",
-        "solver", "time", "accuracy", "output",
+        "solver", "time", "accuracy", "output", "certificate",
     ]  # fmt: skip
     assert entries["mesh"] == {
         "cells": [90, 45],

@@ -1,0 +1,441 @@
+"""Companions of a restoration: how its errors grow, found without knowing the truth.
+
+While a run restores, its state is kept at some instants. From each of them companions on a coarser
+mesh restore the rock to the next instant: as the run has it, and displaced by what may be wrong
+with it. What the coarse mesh does otherwise than the run tells, by the order of the mesh, what the
+run itself does wrong there; what becomes of a displacement tells how errors grow. Both are carried
+along from instant to instant. Companions begin anew from the run each time: left alone, they would
+soon restore another section, whose errors grow otherwise.
+"""
+
+import time
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from restoration.errors import MeshError, SolveError, TooLargeError
+from restoration.lines import points_of, surface_of, with_points
+from restoration.scene import Outline
+from restoration.shapes import on_columns
+
+INSTANTS = 12  # between the given section and the end
+MOST_KEPT = 20_000_000  # particles of all instants together
+COARSER = (2.0, 3.0)  # cells of the companions, in cells of the run
+LEAST_CELLS = 6  # along the shorter side of a companion
+WAVES = 12  # half-waves across and up at most, of what moves the given section
+SHORTEST = 4  # cells of the companion: the shortest wave of it
+ORDERS = 0.5, 2.0  # between which the observed order of the mesh is believed
+ORDER = 1.0  # where it is not observed
+CHEAPER = {"rk4": "midpoint", "rk3": "midpoint"}  # schemes: the mesh of a companion is off by more
+THINNED = 4  # one of so many particles is in the companions that tell growth
+PROBED = 3  # one of so many ways between instants is gone by the coarsest companion
+NEIGHBOURS = 6  # particles from which a displacement is read
+
+
+def way_back(marks):
+    """Return the numbers of the marks where the longest way back begins and ends, or None.
+
+    Args:
+        marks: model times, s.
+    """
+    ways, begin = [], 0
+    for number, (one, two) in enumerate(pairwise(marks), start=1):
+        if two > one:
+            begin = number
+        else:
+            ways.append((marks[begin] - two, begin, number))
+    return max(ways, key=lambda way: (way[0], way[1]))[1:] if ways else None
+
+
+class Follower:
+    """Keeps the states of a run on its longest way back.
+
+    Args:
+        scene: `scene.Scene`.
+
+    Attributes:
+        states: `State` of the given section, then of every instant passed; without flows.
+        steps: number of steps so far on the way back.
+        ends: model times where it begins and ends, s; None where nothing is restored.
+    """
+
+    def __init__(self, scene):
+        self.scene, self.states, self.steps = scene, [], 0
+        self._last_seen = None
+        way = way_back(scene.time.marks)
+        self._begin = way[0] if way else None
+        self.ends = tuple(scene.time.marks[number] for number in way) if way else None
+
+    @property
+    def done(self):
+        """Whether the end of the way back was reached."""
+        return bool(self.states) and self.states[-1].time == self.ends[1]
+
+    def mark(self, number, state):
+        """Begin at the mark of the given section."""
+        if number == self._begin:
+            instants = int(np.clip(MOST_KEPT / len(state.particles.x), 3, INSTANTS))
+            self._instants = np.linspace(*self.ends, instants + 1)
+            self._instants[-1] = self.ends[1]
+            self._keep(state)
+
+    def step(self, state):
+        """Keep a state after a step, where it has passed the next instant."""
+        if not self.states or self.done:
+            return
+        self.steps += 1
+        self._last_seen = state.time
+        # an instant that is missed by rounding is passed
+        if state.time <= self._next + 1e-9 * (self.ends[0] - self.ends[1]):
+            self._keep(state)
+
+    def finished(self, state):
+        """Return whether the way back was gone; ``state`` is where the run has ended."""
+        if self.states and not self.done and state is not None and state.time == self._last_seen:
+            if self.states[-1].time != state.time:  # it stopped earlier than its last mark
+                self._keep(state)
+            self.ends = self.ends[0], state.time
+        return self.done and len(self.states) > 1
+
+    def _keep(self, state):
+        self.states.append(replace(state, flow=None, grid=None))
+        ahead = self._instants[self._instants < state.time - 1e-9 * np.ptp(self._instants)]
+        self._next = ahead[0] if len(ahead) else self.ends[1]
+
+
+def companion_scene(scene, coarser, times):
+    """Return a scene on a mesh with cells some times as large, for a way back.
+
+    Args:
+        scene: `scene.Scene` of the run.
+        coarser: how many times.
+        times: model times of the way, s.
+    """
+    coarser = max(1.0, min(coarser, min(scene.cells) / LEAST_CELLS))
+    cells = tuple(max(1, round(n / coarser)) for n in scene.cells)
+    way = scene.time
+    per_cell = np.prod(scene.cells) / np.prod(cells) * scene.particles.per_cell
+    return replace(
+        scene,
+        cells=cells,
+        outline=on_columns(scene.outline, cells[0], scene.free)[0],
+        particles=replace(scene.particles, per_cell=max(1, round(per_cell))),
+        time=replace(scene.time, marks=tuple(times), scheme=CHEAPER.get(way.scheme, way.scheme)),
+    )
+
+
+class Companion:
+    """Restores the rock of a run from one of its instants to the next, on a mesh of its own.
+
+    Args:
+        follower: `Follower` of the run.
+        make_engine: makes the engine of a scene.
+        march: `run.march`.
+        coarser: how many times larger its cells are.
+        check: called after every step.
+
+    Attributes:
+        coarser: the same, as the number of cells allows.
+        seconds: it took so far.
+    """
+
+    def __init__(self, follower, make_engine, march, coarser, check=None):
+        begin = time.perf_counter()
+        times = [state.time for state in follower.states]
+        self._scene = companion_scene(follower.scene, coarser, times)
+        self._march = march
+        self._every = () if check is None else (lambda *_: check(),)
+        self.coarser = float(np.sqrt(np.prod(follower.scene.cells) / np.prod(self._scene.cells)))
+        self._step = self.coarser * abs(times[-1] - times[0]) / follower.steps
+        self.engine = make_engine(self._scene)
+        self.seconds = time.perf_counter() - begin
+
+    def restored(self, state, until, off=None):
+        """Return where the particles of a state come to, as displaced.
+
+        Args:
+            state: `State` of the run at an instant.
+            until: model time of the next one, s.
+            off: displacement of its particles, shape (n, 2), m; None for none.
+
+        Returns:
+            `State`.
+
+        Raises:
+            MeshError, SolveError: the companion could not restore it.
+        """
+        begin = time.perf_counter()
+        if off is not None:
+            state = displaced(state, off, self.engine.within)
+        steps = max(1, round(abs(until - state.time) / self._step))
+        plan = replace(self._scene.time, marks=(state.time, until), min_steps=steps)
+        after = self._march(self.engine.taken_over(state), self.engine, plan, self._every)
+        self.seconds += time.perf_counter() - begin
+        return after
+
+    def release(self):
+        """Free the memory of its solver."""
+        self.engine.grid.stokes.release()
+
+
+def displaced(state, off, within=None):
+    """Return a state with its particles displaced, and its lines with them.
+
+    Args:
+        state: `State`.
+        off: displacement of its particles, shape (n, 2), m.
+        within: maps points (n, 2) into the section; None lets them be.
+    """
+    within = within or (lambda x: x)
+    particles = replace(state.particles, x=within(state.particles.x + off))
+    points = points_of(state.lines)
+    if len(points):
+        points = within(points + read(state.particles.x, off, points))
+    return replace(
+        state, particles=particles, lines=with_points(state.lines, points), flow=None, grid=None
+    )
+
+
+def read(x, values, points):
+    """Return values at points by the weighted mean of the particles around, shape (n, 2)."""
+    distance, near = cKDTree(x).query(points, NEIGHBOURS, workers=-1)
+    weight = 1 / np.maximum(distance, 1e-6 * (distance.max() or 1.0)) ** 2
+    return np.einsum("nk,nkd->nd", weight, values[near]) / weight.sum(axis=1)[:, None]
+
+
+def matched(particles, others):
+    """Return the rows of the same particles among others, -1 of those that are not there.
+
+    A particle is known by where it was seeded; those born later are not known again.
+    """
+    keys, wanted = (p.start[:, 0] + 1j * p.start[:, 1] for p in (others, particles))
+    order = np.argsort(keys)
+    at = order[np.minimum(np.searchsorted(keys[order], wanted), len(keys) - 1)]
+    there = (keys[at] == wanted) & others.inside[at] & particles.inside
+    return np.where(there, at, -1)
+
+
+def offset(state, other):
+    """Return how far the particles of one state are from the same ones of another, (n, 2), m.
+
+    Those that are not known again move as the known one nearest to them.
+
+    Args:
+        state: `State` of the run.
+        other: `State` at the same time; `offset` is its position minus that of ``state``.
+
+    Raises:
+        MeshError: no particle is known again.
+    """
+    x, rows = state.particles.x, matched(state.particles, other.particles)
+    known = rows >= 0
+    if not known.any():
+        raise MeshError("no particle of the given section is left")
+    off = np.zeros_like(x)
+    off[known] = other.particles.x[rows[known]] - x[known]
+    if not known.all():
+        off[~known] = off[known][cKDTree(x[known]).query(x[~known], workers=-1)[1]]
+    return off
+
+
+class Perturbation:
+    """A smooth displacement of a section without divergence, of random waves.
+
+    It has a stream function ``psi = sum a_mn sin(m pi xi) sin(n pi zeta)`` in the relative place
+    (xi, zeta) between the walls, so that nothing moves across them; below a free surface the waves
+    up are quarter-waves longer, and it moves too. Every octave of wave lengths has the same share.
+
+    Args:
+        state: `State` of the given section.
+        scene: `scene.Scene`.
+        rms: root mean square of the displacement over the section, m.
+        shortest: wave length, m.
+        seed: of the random numbers.
+    """
+
+    def __init__(self, state, scene, rms, shortest, seed):
+        surface = surface_of(state.lines)
+        frame = scene.outline
+        self._frame = frame if surface is None else Outline(surface.points, frame.base)
+        self._left, self._width = frame.surface[0, 0], frame.width
+        counts = [
+            int(np.clip(2 * size / shortest, 2, WAVES)) for size in (frame.width, frame.height)
+        ]
+        shift = 0.0 if surface is None else 0.5
+        self._m = np.pi * np.arange(1, counts[0] + 1)
+        self._n = np.pi * (np.arange(1, counts[1] + 1) - shift)
+        k2 = (self._m[:, None] / frame.width) ** 2 + (self._n / frame.height) ** 2
+        self._amplitude = np.random.default_rng(seed).standard_normal(k2.shape) / k2
+        u, area = self(state.particles.x), state.particles.area
+        self._amplitude *= rms / np.sqrt(np.average((u**2).sum(axis=1), weights=area))
+
+    def __call__(self, points):
+        """Return the displacement at points (n, 2), m."""
+        xi = np.clip((points[:, 0] - self._left) / self._width, 0, 1)
+        x = points[:, 0]
+        lines = self._frame.base, self._frame.surface
+        low, high = (np.interp(x, *line.T) for line in lines)
+        low_slope, high_slope = (_slope(line, x) for line in lines)
+        height = high - low
+        zeta = np.clip((points[:, 1] - low) / height, 0, 1)
+        a, b = self._m * xi[:, None], self._n * zeta[:, None]
+        sin_a, sin_b = np.sin(a), np.sin(b)
+        by_xi = np.einsum("pm,mn,pn->p", self._m * np.cos(a), self._amplitude, sin_b, optimize=True)
+        by_zeta = np.einsum(
+            "pm,mn,pn->p", sin_a, self._amplitude, self._n * np.cos(b), optimize=True
+        )
+        zeta_x = -(low_slope + zeta * (high_slope - low_slope)) / height
+        return np.column_stack([-by_zeta / height, by_xi / self._width + by_zeta * zeta_x])
+
+
+def _slope(line, x):
+    """Return the slope of a polyline at places along x."""
+    piece = np.clip(np.searchsorted(line[:, 0], x, side="right") - 1, 0, len(line) - 2)
+    run, rise = np.diff(line, axis=0).T
+    return rise[piece] / np.where(run > 0, run, 1.0)[piece]
+
+
+def order(near, far, coarser):
+    """Return the observed order of the mesh, from distances of two companions to the run.
+
+    ``far / near = (q^p - 1) / (r^p - 1)`` for cells r and q times as large.
+
+    Args:
+        near, far: distances of the finer and the coarser companion, m.
+        coarser: r and q.
+    """
+    r, q = coarser
+    if not (near > 0 and np.isfinite(far) and q > r > 1):
+        return ORDER
+    p = np.linspace(*ORDERS, 151)
+    ratio = (q**p - 1) / (r**p - 1)
+    return float(np.interp(far / near, ratio, p))
+
+
+@dataclass(frozen=True)
+class Growth:
+    """What becomes of errors on the way back, at the instants that were reached.
+
+    Attributes:
+        states: of the run at the instants, with some of its particles.
+        noise: displacement of these at every instant, one list for each of the random
+            displacements of the given section; lists of (n, 2), m.
+        mesh: the same of the error of the mesh.
+        order: of the mesh, as observed.
+        failure: why the companions did not come to the end; empty if they did.
+        seconds: all took.
+    """
+
+    states: list
+    noise: list
+    mesh: list
+    order: float
+    failure: str
+    seconds: float
+
+
+def accompany(follower, make_engine, march, noise, seeds=(11, 12), check=None):
+    """Restore the given section of a run with companions, as `Growth`.
+
+    Args:
+        follower: `Follower` of the run.
+        make_engine: makes the engine of a scene.
+        march: `run.march`.
+        noise: root mean square of the random displacements of the given section, m.
+        seeds: of these, one for each.
+        check: called after every step.
+    """
+    begin, companions = time.perf_counter(), []
+
+    def companion(coarser):
+        companions.append(Companion(follower, make_engine, march, coarser, check))
+        return companions[-1]
+
+    states = thinned(follower.states)
+    shortest = SHORTEST * COARSER[0] * follower.scene.outline.width / follower.scene.cells[0]
+    waves = [Perturbation(states[0], follower.scene, noise, shortest, seed) for seed in seeds]
+    rock = [[wave(states[0].particles.x)] for wave in waves]
+    grown, p, failure = [np.zeros_like(states[0].particles.x)], ORDER, ""
+    try:
+        p, wrong = _wrong(follower.states, states, companion(COARSER[0]), companion(COARSER[1]))
+        plain, *others = [companion(COARSER[0]) for _ in (None, *seeds, None)]
+        for i, (one, two) in enumerate(pairwise(states)):
+            alone = offset(two, plain.restored(one, two.time))
+            for off, other in zip([*rock, grown], others, strict=True):
+                off.append(offset(two, other.restored(one, two.time, off[i])) - alone)
+            grown[-1] += wrong[i]
+    except TooLargeError:
+        raise
+    except (MeshError, SolveError) as error:
+        failure = str(error)
+    for one in companions:
+        one.release()
+    return Growth(states, rock, grown, p, failure, time.perf_counter() - begin)
+
+
+def _wrong(states, kept, near, far):
+    """Return the order of the mesh, and what a run does wrong between its instants.
+
+    Args:
+        states: `State` of the run at its instants.
+        kept: the same with the particles that are asked about.
+        near, far: companions, of which the second is the coarser one.
+
+    Returns:
+        The order, and displacements of particles at the end of every way, list of (n, 2), m.
+    """
+    off, sizes = [], []
+    for i, (one, two) in enumerate(pairwise(states)):
+        off.append(offset(two, near.restored(one, two.time)))
+        if i % PROBED == PROBED - 1:
+            more = offset(two, far.restored(one, two.time))
+            sizes.append([np.hypot(*x.T).mean() for x in (off[-1], more)])
+    p = order(*np.sum(sizes, axis=0), (near.coarser, far.coarser)) if sizes else ORDER
+    share = -1 / (near.coarser**p - 1) if near.coarser > 1 else 0.0
+    pairs = zip(states[1:], kept[1:], strict=True)
+    rows = [matched(two.particles, one.particles) for one, two in pairs]
+    return p, [
+        share * np.where(at[:, None] >= 0, x[at], 0.0) for x, at in zip(off, rows, strict=True)
+    ]
+
+
+def thinned(states):
+    """Return states with some of their particles, the same ones in all."""
+    first = states[0].particles
+    some = subset(first, np.arange(0, len(first.x), THINNED))
+    found = []
+    for state in states:
+        rows = matched(some, state.particles)
+        later = np.flatnonzero(state.particles.born)[::THINNED]
+        particles = subset(state.particles, np.r_[rows[rows >= 0], later])
+        found.append(replace(state, particles=particles))
+    return found
+
+
+def subset(particles, rows):
+    """Return some of the particles."""
+    names = type(particles).__dataclass_fields__
+    return replace(particles, **{name: getattr(particles, name)[rows] for name in names})
+
+
+def deformation(before, after, near=9):
+    """Return the greatest stretch of the rock around particles, by least squares, (n,).
+
+    Args:
+        before, after: positions of the same particles, shape (n, 2), m; NaN where they are gone.
+        near: number of neighbours.
+    """
+    from scipy.spatial import cKDTree
+
+    there = np.isfinite(before).all(axis=1) & np.isfinite(after).all(axis=1)
+    stretch = np.full(len(before), np.nan)
+    if np.count_nonzero(there) <= near:
+        return stretch
+    x, y = before[there], after[there]
+    neighbours = cKDTree(x).query(x, near)[1]
+    dx, dy = (a[neighbours] - a[neighbours].mean(axis=1, keepdims=True) for a in (x, y))
+    gradient = np.einsum("nki,nkj->nij", dy, dx) @ np.linalg.pinv(np.einsum("nki,nkj->nij", dx, dx))
+    stretch[there] = np.linalg.svd(gradient, compute_uv=False)[:, 0]
+    return stretch
