@@ -389,9 +389,20 @@ class Particles(Entry):
 class Transfer(Entry):
     """How rock goes from particles to fields."""
 
-    density: words("hat", "linear", "quadrature", "cell") = "hat"
+    density: words("projection", "hat", "linear", "quadrature", "cell") = "projection"
     viscosity: words("hat", "linear", "quadrature", "cell") = "hat"
     mean: words("harmonic", "geometric", "arithmetic") = "harmonic"
+
+    @field_validator("viscosity", mode="before")
+    @classmethod
+    def _stays_positive(cls, value):
+        """Refuse what overshoots."""
+        if value == "projection":
+            raise ValueError(
+                "'projection' overshoots beside jumps, which a viscosity does not bear: it must "
+                "stay positive; take 'hat' or 'linear'"
+            )
+        return value
 
 
 class Time(Entry):

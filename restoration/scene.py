@@ -192,10 +192,11 @@ class Transfer:
     """How rock is carried from particles to the fields.
 
     Attributes:
-        density: ``hat`` (continuous, hat-weighted vertices), ``linear`` (a plane in each cell),
-            ``quadrature`` (arithmetic mean of the particles around each quadrature point) or
-            ``cell`` (arithmetic mean per cell).
-        viscosity: one of the same.
+        density: ``hat`` (continuous, hat-weighted vertices), ``projection`` (linear too, with the
+            moments of the particles), ``linear`` (a plane in each cell), ``quadrature`` (arithmetic
+            mean of the particles around each quadrature point) or ``cell`` (arithmetic mean per
+            cell).
+        viscosity: one of the same but the projection, which overshoots.
         mean: of the viscosity: ``harmonic``, ``geometric`` or ``arithmetic``.
     """
 
