@@ -17,6 +17,7 @@ LATER = {
     ("boundary", "front"): "sections are two-dimensional so far; remove this wall",
     ("boundary", "back"): "sections are two-dimensional so far; remove this wall",
 }
+FITTED = ("fitted", "auto")  # of mesh.interfaces: with mesh lines that follow the rock
 SYNONYMS = {"top": "surface", "bottom": "base", "walls": "boundary", "colour": "color"}
 # Entries of a section that only a file has a use for.
 FILE_ENTRIES = ("property", "rock_property", "coordinates", "vertical", "tolerance")
@@ -199,7 +200,7 @@ def _surface_faults(tree):
         message = "a cloud of particles has no surface line that could move; give layers or a file"
         faults.append(tree.fault(("boundary", "surface"), message))
     if isinstance(given, dict) and given.get("air") is not None:
-        if tree.raw(("mesh", "interfaces")) == "fitted":
+        if tree.raw(("mesh", "interfaces")) in FITTED:
             message = "air is solved for on column meshes only; remove it, or the fitted mesh"
             faults.append(tree.fault((*at, "air"), message, at="key"))
         if given.get("motion") == "normal":
@@ -213,14 +214,15 @@ def _mesh_faults(tree):
     at = ("mesh",)
     element, refine = tree.raw((*at, "element")), tree.raw((*at, "refine"))
     squares = isinstance(element, str) and element.startswith("Q")
-    fitted, faults = tree.raw((*at, "interfaces")) == "fitted", []
+    interfaces, faults = tree.raw((*at, "interfaces")), []
+    fitted = interfaces in FITTED
     if squares and refine is not None:
         message = f"squares cannot be refined in part; {element} needs a mesh that stands still"
         faults.append(tree.fault((*at, "refine"), f"{message}; take P2-P1 to refine", at="key"))
     if squares and fitted:
         message = f"mesh lines follow the rock in triangles only, and {element} lives on squares"
         faults.append(tree.fault((*at, "interfaces"), f"{message}; take P2-P1"))
-    if fitted and tree.raw(("transfer",)) is not None:
+    if interfaces == "fitted" and tree.raw(("transfer",)) is not None:
         message = "a fitted mesh averages nothing: every cell has one rock; remove it"
         faults.append(tree.fault(("transfer",), message, at="key"))
     if fitted and tree.raw(("section", "particles")) is not None:
@@ -231,7 +233,7 @@ def _mesh_faults(tree):
         message = "a fitted mesh is refined at interfaces and faults only"
         faults.append(tree.fault((*at, "refine", "where"), message))
     if fitted and isinstance(refine, dict) and "every" in refine:
-        message = "a fitted mesh is made anew for every flow; remove it"
+        message = "a fitted mesh moves, and is made anew where it must be; remove it"
         faults.append(tree.fault((*at, "refine", "every"), message, at="key"))
     if element in ELEMENTS and element not in QUADRATIC:
         if tree.raw(("particles", "velocity")) == "conservative":

@@ -49,7 +49,7 @@ def describe(loaded):
         "marks_s": list(scene.time.marks),
         "scheme": scene.time.scheme,
         "cells": cells,
-        "mesh_varies": scene.mesh.refine is not None or scene.mesh.interfaces == "fitted",
+        "mesh_varies": scene.mesh.refine is not None or scene.mesh.interfaces != "particles",
         "unknowns": count,
         "particles": particles,
         "memory_mb_about": round(BASE_MB + (count * PER_UNKNOWN + particles * PER_PARTICLE) / 1e6),
@@ -93,7 +93,7 @@ def describe_text(loaded):
     shape = "squares" if scene.mesh.element.startswith("Q") else "triangles"
     refined = scene.mesh.refine is not None
     about_text = " and more where it is finer" if refined else ""
-    rough = "about " if scene.mesh.interfaces == "fitted" else ""
+    rough = "about " if scene.mesh.interfaces != "particles" else ""
     lines += [
         f"mesh       {across} x {up} squares, {rough}{about['cells']} {shape}, "
         f"{rough}{about['unknowns']} unknowns{about_text}",

@@ -143,6 +143,17 @@ class Contacts:
         self.section.mesh.geometry.x[self._geometry, :2] = moved
         return True
 
+    def across(self):
+        """Return which cells reach from one line or wall to another, away from where these meet."""
+        count = np.zeros(len(self._made), int)
+        for chain in self.chains:
+            count[chain.nodes] += 1
+            if len(chain.nodes) > 1 and chain.nodes[0] == chain.nodes[-1]:
+                count[chain.nodes[0]] -= 1
+        for nodes in self._walls.values():
+            count[nodes] += 1
+        return (count[self._cells] == 1).all(axis=1)
+
     def _material(self, lines):
         """Return all nodes, those on lines where rock has carried them, shape (nodes, 2), m."""
         x = self._made.copy()

@@ -1,8 +1,8 @@
 """The engine that moves a section by Stokes flow.
 
 The loop (`run.march`) asks an engine for three things, `with_flow`, `stable_step` and `advance`,
-and knows nothing else of the physics; the recorder asks for `about`, `work` and `numbers`. A
-discrete-element engine will offer the same.
+and knows nothing else of the physics; the recorder asks for `about`, `work`, `numbers` and `notes`.
+A discrete-element engine will offer the same.
 """
 
 import time
@@ -14,9 +14,11 @@ import numpy as np
 from restoration.advection import SCHEMES
 from restoration.bands import areas
 from restoration.diagnostics import relief
+from restoration.enclosed import kept
 from restoration.errors import MeshError, SolveError
 from restoration.free_surface import FreeSurface
 from restoration.grid import Grid
+from restoration.guard import Guard
 from restoration.inflow import cast_off, cut, extended, flowed_in, touching
 from restoration.lines import (
     begin,
@@ -46,7 +48,6 @@ TRIAL = 0.5  # of the relaxation time of the fastest mode: a step that tells a r
 ON_WALL = 1e-9  # of the width: an end of a line this near to a side is on it
 SAFETY = 0.9  # of the step that would be off by just what is tolerated
 MOST_SHRUNK, MOST_GROWN, MOST_TRIALS = 0.2, 2.0, 12  # of steps by their error
-ROCK_JUMP = 0.02  # of the section, that no rock wins or loses from one fitted mesh to the next
 PARTS = ("setup", "mesh", "fields", "assemble", "solve", "surface", "advect")
 
 
@@ -72,6 +73,9 @@ class StokesEngine:
         fallen: area of rock that fell from cliffs of the surface so far, m^2.
         surface_shift: how far the surface was moved as a whole, in all steps so far, to keep the
             area below it what the flow through the walls makes it, m.
+        horizon_shift: how far horizons were moved as a whole, in all steps so far, to keep the
+            areas between them where no rock crosses a wall, m.
+        notes: what has happened that whoever reads the results should know, lines of text.
     """
 
     def __init__(self, scene):
@@ -79,7 +83,8 @@ class StokesEngine:
         self.scene, self.counts = scene, Counts()
         self.meshes, self.grid = 0, None
         self.surface = FreeSurface(scene) if scene.free else None
-        self.surface_shift, self.fallen = 0.0, 0.0
+        self.surface_shift, self.horizon_shift, self.fallen = 0.0, 0.0, 0.0
+        self.notes, self.fitted = [], scene.mesh.interfaces != "particles"
         self.open = {n for n in WALLS if scene.normal_velocity(n) != 0} - (
             {"surface"} if scene.free else set()
         )
@@ -90,11 +95,15 @@ class StokesEngine:
             self.mesher = Mesher(scene)
             self.cell_size = self.mesher.finest
             lines = self._first_lines()
-            section, points = self.mesher.mesh(lines)
+            try:
+                section, points = self.mesher.mesh(lines)
+            except MeshError as error:
+                self._leave_to_particles(scene.time.marks[0], error)
+                section, points = self.mesher.mesh(lines)
             self._take(section, lines, None if points is None else (None, points, {}))
         self.start_area = self.grid.section.area
-        self.fitted = scene.mesh.interfaces == "fitted"
-        self._steps, self._last_flow, self._rock_areas = 0, None, None
+        self._guard = Guard(scene, self.mesher.coarsest)
+        self._steps, self._last_flow = 0, None
         self.rejected, self._next = 0, np.inf  # steps; the next one by the error of the last, s
         self.born = 0
         self.empty_cells = 0
@@ -124,6 +133,7 @@ class StokesEngine:
             "refinements": counts.refinements,
             "worst_residual": counts.worst_residual,
             "meshes": self.meshes,
+            "interfaces_used": "fitted" if self.fitted else "particles",
             "steps_rejected": self.rejected,
             "particles_born": self.born,
             "particles_left": dict(self.left),
@@ -151,6 +161,7 @@ class StokesEngine:
             "held_on_wall": self.held_on_wall,
             "surface_relief_m": relief(state.lines)["surface_relief_m"],
             "surface_shift_m": self.surface_shift if self.surface else None,
+            "horizon_shift_m": None if self.open else self.horizon_shift,
             "surface_fallen_m2": self.fallen if self.surface else None,
             "surface_modes_slaved": self.surface.slaved if self.surface else None,
         }
@@ -207,7 +218,10 @@ class StokesEngine:
             return state
         particles, refine = state.particles, self.scene.mesh.refine
         if self.fitted:
-            particles = self.fit(particles, state.lines)
+            try:
+                particles = self.fit(particles, state.lines)
+            except MeshError as error:
+                return self.with_flow(self._left_to_particles(state, error))
         elif refine and self._steps % refine.every == 0:
             if "velocity-gradient" in refine.where and self._last_flow is None:
                 self._last_flow = self.solve(particles, state.time)
@@ -241,21 +255,8 @@ class StokesEngine:
             if not self.grid.fit(lines, rows, begins):
                 section, points = self.mesher.mesh(lines)
                 self._take(section, lines, (particles, points, areas(lines)))
-            self._guard_rocks()
+            self._guard.look(self.grid)
             return relocate(particles, self.grid.index)
-
-    def _guard_rocks(self):
-        """Raise where a rock of a fitted mesh has lost or won a part of the section at once."""
-        rock = np.array([unit.rock for unit in self.scene.units])[self.grid.fields.unit]
-        areas = np.bincount(rock, self.grid.index.area, len(self.scene.rocks))
-        jump = np.abs(areas - (areas if self._rock_areas is None else self._rock_areas))
-        if jump.max() > ROCK_JUMP * areas.sum():
-            name = self.scene.rocks[jump.argmax()].name
-            raise MeshError(
-                f"{name} changed its area by {jump.max() / 1e6:.3g} km^2 at once: a horizon no "
-                "longer parts the rocks; let particles carry them (mesh.interfaces: particles)"
-            )
-        self._rock_areas = areas
 
     def _adapt(self, particles, lines):
         """Adapt the mesh; return the particles located in it."""
@@ -292,6 +293,34 @@ class StokesEngine:
 
         Or less far, where a whole step would be off by more than is tolerated.
         """
+        try:
+            return self._advanced(state, until)
+        except MeshError as error:
+            if not self.fitted:
+                raise
+            return self._advanced(self.with_flow(self._left_to_particles(state, error)), until)
+
+    def _left_to_particles(self, state, error):
+        """Return a state, without its flow, whose particles carry the rock from now on."""
+        self._leave_to_particles(state.time, error)
+        return replace(state, flow=None, particles=self._adapt(state.particles, state.lines))
+
+    def _leave_to_particles(self, time, error):
+        """Go on with meshes through which particles carry the rock.
+
+        Raises:
+            MeshError: the error, where the scene does not leave the rock to them.
+        """
+        if self.scene.mesh.interfaces != "auto":
+            raise error
+        self.notes.append(
+            f"from {show(time, 'time')} on particles carry the rock: "
+            f"{str(error).partition('; let particles')[0]}"
+        )
+        self.scene = replace(self.scene, mesh=replace(self.scene.mesh, interfaces="particles"))
+        self.fitted, self.mesher, self._last_flow = False, Mesher(self.scene), None
+
+    def _advanced(self, state, until):
         slaving = self.surface and self.surface.slaving
         if slaving and slaving.modes is None:
             self._find_rate(state)
@@ -356,6 +385,9 @@ class StokesEngine:
         if self.surface:
             lines = self._with_area(self._without_cliffs(lines), x[-1, 0] * move.width)
         particles = replace(state.particles, x=moved["particles"])
+        if not self.open:
+            lines, shift = kept(state.lines, lines, self.scene.outline, self.scene.free)
+            self.horizon_shift += shift
         with self.timed("advect"):
             particles = self._through_walls(particles, lines, moved)
         if self.fitted:  # the mesh they will be in is yet to come

@@ -349,7 +349,7 @@ class Mesh(Entry):
 
     cells: Annotated[int | tuple[int, int], PlainValidator(read_cells)] | None = None
     element: words(*ELEMENTS) = "P2-P1"
-    interfaces: words("particles", "fitted") = "particles"
+    interfaces: words("particles", "fitted", "auto") = "particles"
     refine: Refine | None = None
 
 

@@ -96,7 +96,7 @@ def slim_notes(faults, cells, outline, plan):
         outline: `Outline`.
         plan: `scene.MeshPlan`.
     """
-    if plan.interfaces == "fitted":
+    if plan.interfaces != "particles":
         return []
     coarse = np.sqrt(outline.area / np.prod(cells))
     refined = plan.refine is not None and "faults" in plan.refine.where

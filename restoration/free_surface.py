@@ -34,7 +34,7 @@ class FreeSurface:
         if not backward and theta >= 0.5:
             self._begin(time, mark, 0.0)
             return np.inf
-        if self._response is None or self._response.grid is not grid:
+        if self._response is None or not self._response.of(grid):
             self._response = SurfaceResponse(grid)
         rate, self._mode = self._response.fastest(self._mode)
         self.gamma = max(self.gamma or 0.0, rate)

@@ -59,7 +59,7 @@ class Mesher:
             MeshError: no mesh follows these lines.
         """
         plan = self.scene.mesh
-        if plan.interfaces == "fitted":
+        if plan.interfaces != "particles":
             return self._fitted(lines)
         base = self._columns(lines)
         if plan.refine is None:
@@ -121,7 +121,7 @@ class Mesher:
         except (MeshingError, ShapelyError) as error:
             raise MeshError(
                 f"no mesh follows the horizons any more: {error}; let particles carry the rock "
-                "(mesh.interfaces: particles)"
+                "(mesh.interfaces: auto does so by itself)"
             ) from error
 
     def _towards(self, lines, name):

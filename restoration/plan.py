@@ -117,8 +117,10 @@ def _solver(scene):
 def _mesh(scene):
     """Return what the mesh does, in words."""
     plan, refine = scene.mesh, scene.mesh.refine
-    if plan.interfaces == "fitted":
-        text = "mesh lines follow the rock, a new mesh for every flow; nothing is averaged"
+    if plan.interfaces != "particles":
+        text = "mesh lines follow the rock, nothing is averaged"
+        if plan.interfaces == "auto":
+            text += "; where no mesh can, particles go on by themselves"
         return text + (f"; up to 2^{refine.levels} times finer there" if refine else "")
     if refine is None:
         moves = "moves with the surface" if scene.free else "stands still"

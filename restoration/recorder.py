@@ -49,6 +49,7 @@ COLUMNS = (
     "held_on_wall",
     "surface_relief_m",
     "surface_shift_m",
+    "horizon_shift_m",
     "surface_fallen_m2",
     "surface_modes_slaved",
     "wall_s",
@@ -79,6 +80,7 @@ class Recorder:
         self._marks, self._volumes = [], []  # states at the marks passed, and area by rock
         self._last = None
         self._framed = -1.0  # elapsed time of the last frame
+        self._told = 0  # notes of the engine
         self._follower = Follower(self.scene) if self.scene.certificate else None
         self._certificate_s = None
         self._path = float(np.abs(np.diff(self.scene.time.marks)).sum())
@@ -212,6 +214,9 @@ class Recorder:
             self.progress.say(line)
 
     def _tell(self, state, dt):
+        for note in self.engine.notes[self._told :]:
+            self.say(note)
+        self._told = len(self.engine.notes)
         share = self.elapsed / self._path
         wall = time.perf_counter() - self._began
         line = (

@@ -96,7 +96,7 @@ def load(path, overrides=(), allow_outside=False):
         and wall.kind != "free"
         and normal_velocity(name, wall, shape.outline) != 0
     ]
-    if case.mesh.interfaces == "fitted" and crossed:
+    if case.mesh.interfaces != "particles" and crossed:
         message = f"rock may cross the {listed(crossed, last='and')}, and mesh lines that follow it"
         message += " would lose their ends there; let particles carry it"
         faults.append(tree.fault(("mesh", "interfaces"), message))
@@ -106,7 +106,7 @@ def load(path, overrides=(), allow_outside=False):
     if faults:
         raise CaseError(faults)
     shape, bands = with_faults(case, shape, outline, tree)
-    if case.mesh.interfaces == "fitted" and (thin := too_thin(bands, shape.lines, tree)):
+    if case.mesh.interfaces != "particles" and (thin := too_thin(bands, shape.lines, tree)):
         raise CaseError(thin)
     notes = (*shape.notes, *cut)
     scene = _scene(case, shape, outline, walls, cells, case.title or _title(path), notes)

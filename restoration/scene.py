@@ -227,7 +227,7 @@ class MeshPlan:
     Attributes:
         element: pair of elements, a name in `forms.elements.ELEMENTS`.
         interfaces: ``particles`` where they carry the rock through the mesh, ``fitted`` where mesh
-            lines follow it.
+            lines follow it, ``auto`` where they do and particles go on once no mesh can.
         refine: `RefinePlan`, or None for a mesh that stands still.
     """
 

@@ -46,7 +46,12 @@ class SurfaceResponse:
         self._u = fem.Function(grid.spaces.V)
         test = ufl.TestFunction(grid.spaces.H)
         self._moments = fem.form(top.over(top.rock * ufl.dot(self._u, top.n) * test))
-        self.mass = hat_mass(top.x)
+        self._x = top.x
+        self.mass = hat_mass(self._x)
+
+    def of(self, grid):
+        """Return whether this is of a grid, and its surface nodes have not moved along it."""
+        return grid is self.grid and np.array_equal(grid.top.x, self._x)
 
     def along(self, u):
         """Return the greatest speed of the rock along the surface, m/s."""
@@ -228,7 +233,7 @@ class Slaving:
         Args:
             grid: `Grid`; the surface must be as it was for that flow.
         """
-        if self._response is None or self._response.grid is not grid:
+        if self._response is None or not self._response.of(grid):
             self._response = SurfaceResponse(grid)
         x = grid.top.x
         if self._found is None or self._steps >= REFRESH or not self._found.near(x):

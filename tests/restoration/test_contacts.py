@@ -1,18 +1,20 @@
 """Fitted meshes that move with the rock: areas, orders in time, the way back, new meshes."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from restoration.diagnostics import line_distances, there_and_back, volume_by_rock
 from restoration.engine import StokesEngine
+from restoration.errors import MeshError
 from restoration.lines import as_drawn, points_of, with_points
-from restoration.run import march
+from restoration.run import Job, march, run_job
 from restoration.scene import Line, MeshPlan, TimePlan
 from tests.restoration.conftest import HEIGHT, MYR, WIDTH, diapir_scene
 
-FITTED = MeshPlan(interfaces="fitted")
+FITTED, AUTO = MeshPlan(interfaces="fitted"), MeshPlan(interfaces="auto")
 TWO = (1e18, 1e20)
 
 
@@ -90,7 +92,7 @@ def test_lines_of_another_state_get_a_mesh_of_their_own():
     state = engine.with_flow(engine.start())
     points = points_of(state.lines) + [0, 1500.0]
     unit = state.particles.unit * (state.particles.x[:, 1] > -6500).astype(np.int16)
-    engine._rock_areas = None
+    engine._guard._areas = None
     engine.with_flow(
         replace(
             state,
@@ -152,3 +154,76 @@ def test_a_mirrored_section_gives_the_mirrored_mesh_run():
     mirrored = (ends[1] * [-1, 1] + [WIDTH, 0])[::-1]
     off = np.linalg.norm(ends[0] - mirrored, axis=1)
     assert off.max() < 0.05 * np.ptp(ends[0][:, 1])  # gmsh makes another mesh of it
+
+
+def film(mesh, thickness=5.0):
+    """A scene whose salt is a film on the base."""
+    z = -HEIGHT + thickness
+    top = Line("salt / sediment", "horizon", np.array([[0, z], [WIDTH, z]]))
+    return diapir_scene(
+        mesh=mesh, lines=(top,), marks=(0, 0.1), unit_at=lambda p: (p[:, 1] > z).astype(np.int16)
+    )
+
+
+def test_areas_below_horizons_stay_where_particles_carry_the_rock_too():
+    engine, states, _ = journey(diapir_scene(marks=(0, 1), viscosity=TWO))
+    start, end = (below(state.lines[0].points) for state in states)
+    assert end == pytest.approx(start, rel=1e-12)
+    assert 0 < engine.horizon_shift < 5
+
+
+def test_a_weld_is_left_to_particles_where_that_is_asked_for():
+    engine, states, _ = journey(film(AUTO))
+    assert engine.work()["interfaces_used"] == "particles"
+    (note,) = engine.notes
+    assert note.startswith("from 0 ")
+    assert "particles carry the rock: salt is a weld near x = " in note
+    assert states[-1].time > 0
+    engine = StokesEngine(film(FITTED))
+    engine.with_flow(engine.start())
+    assert engine.work()["interfaces_used"] == "fitted"
+    engine = StokesEngine(film(AUTO, 300.0))
+    engine.with_flow(engine.start())
+    assert engine.notes == []
+
+
+@pytest.mark.parametrize("begins", [True, False])
+def test_a_horizon_that_no_mesh_follows_is_left_to_particles(begins, monkeypatch):
+    """Once a mesh fails, at the beginning of a step or in the middle, the rest goes on."""
+
+    def run(mesh):
+        engine = StokesEngine(diapir_scene(mesh=mesh, marks=(0, 1)))
+        follow = type(engine.grid).fit
+        steps = []
+
+        def fails(grid, lines, rows=None, at_start=False):
+            return not (at_start == begins and len(steps) > 2) and follow(
+                grid, lines, rows, at_start
+            )
+
+        def broken(lines, *more):
+            raise MeshError("no mesh follows the horizons any more: lines cross; let particles do")
+
+        monkeypatch.setattr(type(engine.grid), "fit", fails)
+        start = engine.start()
+        monkeypatch.setattr(engine.mesher, "mesh", broken)
+        end = march(start, engine, engine.scene.time, every_step=(lambda *_: steps.append(1),))
+        monkeypatch.undo()
+        return engine, end
+
+    engine, end = run(AUTO)
+    (note,) = engine.notes
+    assert note.endswith(
+        "particles carry the rock: no mesh follows the horizons any more: lines cross"
+    )
+    assert end.time == MYR
+    assert engine.work()["interfaces_used"] == "particles"
+    with pytest.raises(MeshError, match="lines cross"):
+        run(FITTED)
+
+
+def test_a_run_tells_in_its_log_who_carries_the_rock(tmp_path):
+    job = Job(Path("x/case.yaml"), "title: a\n", "resolved: 1\n", film(AUTO), tmp_path / "run")
+    record, folder = run_job(job)
+    assert record["interfaces_used"] == "particles"
+    assert "salt is a weld" in (folder / "log.txt").read_text()

@@ -1,0 +1,65 @@
+"""What a fitted mesh cannot follow, and is better left to particles."""
+
+import numpy as np
+
+from restoration.errors import MeshError
+from restoration.units import show
+
+ROCK_JUMP = 0.02  # of the section, that no rock wins or loses from one fitted mesh to the next
+WELD = 0.02  # of a cell: a layer that is thinner is left to particles
+
+
+class Guard:
+    """Looks at fitted meshes, one after another.
+
+    Args:
+        scene: `scene.Scene`.
+        cell: side of the squares that become cells, m.
+    """
+
+    def __init__(self, scene, cell):
+        self.scene, self._thinnest = scene, WELD * cell
+        self._areas = None
+
+    def look(self, grid):
+        """Raise where lines no longer part the rocks, or a weld is better left to particles.
+
+        Args:
+            grid: `Grid` of a mesh that follows the lines.
+
+        Raises:
+            MeshError: a rock has lost or won a part of the section at once; or, where particles
+                may take over, a layer is thinner than a small part of a cell.
+        """
+        rock = np.array([unit.rock for unit in self.scene.units])[grid.fields.unit]
+        areas = np.bincount(rock, grid.index.area, len(self.scene.rocks))
+        jump = np.abs(areas - (areas if self._areas is None else self._areas))
+        if jump.max() > ROCK_JUMP * areas.sum():
+            name = self.scene.rocks[jump.argmax()].name
+            raise MeshError(
+                f"{name} changed its area by {jump.max() / 1e6:.3g} km^2 at once: a horizon no "
+                "longer parts the rocks; let particles carry them (mesh.interfaces: auto does so "
+                "by itself)"
+            )
+        self._areas = areas
+        if self.scene.mesh.interfaces == "auto":
+            self._refuse_welds(grid)
+
+    def _refuse_welds(self, grid):
+        bands = [fault.unit for fault in self.scene.faults]
+        across = grid.contacts.across() & ~np.isin(grid.fields.unit, bands)
+        if not across.any():
+            return
+        corners = grid.index.corners[across]
+        longest = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
+        thickness = 2 * grid.index.area[across] / longest
+        if thickness.min() < self._thinnest:
+            row = thickness.argmin()
+            where = corners[row].mean(axis=0)
+            name = self.scene.rocks[self.scene.units[grid.fields.unit[across][row]].rock].name
+            at = " and ".join(
+                f"{n} = {show(float(v), 'length')}" for n, v in zip("xz", where, strict=True)
+            )
+            raise MeshError(
+                f"{name} is a weld near {at}, {show(float(thickness[row]), 'length')} thick"
+            )
