@@ -6,10 +6,12 @@ happened besides flow - is no part of it.
 """
 
 import numpy as np
+import shapely
 
 from restoration.companions import deformation, displaced, matched
-from restoration.diagnostics import line_distances
+from restoration.diagnostics import line_distances, summary, there_and_back
 from restoration.layered import restorable
+from restoration.lines import as_drawn
 from restoration.plan import time_label
 from restoration.surface_modes import INTEGRABLE
 from restoration.units import number, show
@@ -251,6 +253,34 @@ def _verdict(certificate):
     if len(doubted) == len(rows):
         return "not to be trusted"
     return f"not to be trusted in {len(doubted)} of {len(rows)} parts"
+
+
+def outside_welds(found, first, given, last):
+    """Return how far what is in no weld of the given section is from where the run began.
+
+    Args:
+        found: `welds.Welds` of the given section.
+        first, given, last: `State` where the run began, of the given section and at the end.
+
+    Returns:
+        Mean, 99th percentile, maximum and share of the area of the particles; and the same of the
+        drawn vertices of every horizon, by name, a dict: None where lines were cut on the way.
+    """
+    rows = matched(last.particles, given.particles)
+    kept = (rows >= 0) & ~found.holds(given.particles.x[rows])
+    distance, _ = there_and_back(last.particles)
+    area = last.particles.area
+    share = {"share": float(area[kept].sum() / area.sum())}
+    horizons, states = {}, [as_drawn(state.lines) for state in (first, given, last)]
+    if len({tuple(len(line.points) for line in lines) for lines in states}) > 1:
+        return summary(distance[kept & ~np.isnan(distance)]) | share, None
+    for name in dict.fromkeys(line.name for line in states[0] if line.kind != "edge"):
+        before, at, after = ([x.points for x in lines if x.name == name] for lines in states)
+        free = ~found.holds(np.concatenate(at))
+        target = shapely.MultiLineString(before)
+        off = shapely.distance(shapely.points(np.concatenate(after)), target)
+        horizons[name] = summary(off[free]) | {"share": float(free.mean())}
+    return summary(distance[kept & ~np.isnan(distance)]) | share, horizons
 
 
 def failed(scene, follower, error):

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from restoration.canvas import time_text
-from restoration.certificate import certified, failed, report, sentences
+from restoration.certificate import certified, failed, outside_welds, report, sentences
 from restoration.certificate_figure import draw_certificate
 from restoration.companions import Follower, accompany
 from restoration.diagnostics import compared, relief, there_and_back, volume_by_rock
@@ -29,6 +29,7 @@ from restoration.output import (
 from restoration.plan import counts_back, time_label
 from restoration.topography import dynamic_topography
 from restoration.units import MYR, show
+from restoration.welds import welds
 from restoration.writing import disk_faults, write_text
 
 COLUMNS = (
@@ -264,6 +265,7 @@ class Recorder:
         found = compared(self._marks, self._volumes)
         self.record |= found
         if "there_and_back" in found:
+            self._leave_out_welds(found)
             draw_there_and_back(
                 figures / "there-and-back.png",
                 self.scene,
@@ -275,6 +277,17 @@ class Recorder:
                 found["there_and_back"] | {"horizons": found["horizons"]},
             )
         self._output_s += time.perf_counter() - begin
+
+    def _leave_out_welds(self, found):
+        """Add the distances outside of the welds of the given section to those compared."""
+        if not self._follower or not self._follower.states:
+            return
+        given = self._follower.states[0]
+        thin = welds(self.scene, given.lines, self.engine.cell_size, given.particles)
+        particles, horizons = outside_welds(thin, self._marks[0], given, self._marks[-1])
+        found["there_and_back"]["outside_welds"] = particles
+        for row in found["horizons"]:
+            row["outside_welds"] = horizons and horizons[row["name"]]
 
     def certify(self, march, check=None):
         """Say what of a restoration can be trusted, by companions that restore it once more.

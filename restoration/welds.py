@@ -10,6 +10,7 @@ from restoration.lines import surface_of
 from restoration.scene import Outline
 
 REACH = 0.1  # thicknesses: an end of a line this near to the frame meets it
+MITRE = 1.5  # corners down to 84 degrees count as reached
 SLIVER = 0.02  # thicknesses: narrower parts are rounding
 
 
@@ -72,7 +73,7 @@ def thin_part(shape, thickness):
     """Return the parts of a shape that are thinner than a thickness, m."""
     if shape.is_empty:
         return shape
-    bent = {"join_style": "mitre", "mitre_limit": 10.0}
+    bent = {"join_style": "mitre", "mitre_limit": MITRE}
     opened = shape.buffer(-thickness / 2, **bent).buffer(thickness / 2 * (1 + 1e-6), **bent)
     left = shape.difference(opened)
     sliver = SLIVER * thickness

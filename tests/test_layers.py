@@ -99,6 +99,7 @@ ORDER = {
         "reliefs",
         "reverse_surface",
         "graben",
+        "certificate",
         "pictures",
         "suite",
     ],

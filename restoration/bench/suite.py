@@ -5,6 +5,7 @@ from pathlib import Path
 
 from restoration.bench import (
     advection,
+    certificate,
     graben,
     gravity,
     pictures,
@@ -42,6 +43,7 @@ BENCHMARKS = {
     "two-interface": two_interface.run_two_interface,
     "reverse-surface": reverse_surface.run_reverse_surface,
     "graben": graben.run_graben,
+    "certificate": certificate.run_certificate,
 }
 
 
