@@ -61,7 +61,7 @@ def test_the_diapir_rises_and_comes_back(journey):
     assert crest[1] > crest[0] + 1000
     assert crest[2] == pytest.approx(crest[0], abs=2)
     distance, stats = there_and_back(last.particles)
-    assert stats["mean_m"] < 1
+    assert stats["mean_m"] < 1.2  # 0.7 with a plain velocity, which bends less inside the cells
     assert stats["mean_m"] <= stats["p99_m"] <= stats["max_m"] == np.nanmax(distance)
     assert last.particles.lost == 0
     assert engine.born == 0
@@ -76,7 +76,7 @@ def area_below(state):
 def test_horizons_and_volumes_come_back(journey):
     engine, (first, top, last) = journey
     (row,) = line_distances(first.lines, last.lines)
-    assert row["max_m"] < 5
+    assert row["max_m"] < 8  # 2 with a plain velocity
     before, middle, after = (
         volume_by_rock(engine.scene, engine.grid, s.particles) for s in (first, top, last)
     )
@@ -84,7 +84,7 @@ def test_horizons_and_volumes_come_back(journey):
     assert abs(relative_change(before, after)["salt"]) < 1e-3
     # 12 cells across: the fields miss 1.2 % of the salt, which the flow itself has kept
     assert abs(relative_change(before, middle)["salt"]) < 1.5e-2
-    assert area_below(top) == pytest.approx(area_below(first), rel=2e-3)
+    assert area_below(top) == pytest.approx(area_below(first), rel=5e-4)  # plain: 7e-4
 
 
 def test_the_mesh_covers_the_box(journey):
