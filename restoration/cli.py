@@ -74,6 +74,11 @@ def _parser():
     check.add_argument("--json", action="store_true", help="print JSON")
     run.add_argument("--out", metavar="DIR", help="run folder; default runs/<case>-<hash8>")
     run.add_argument("--fresh", action="store_true", help="throw an earlier run away")
+    run.add_argument(
+        "--prove",
+        action="store_true",
+        help="go forward again from what was restored, on another mesh, and compare",
+    )
     run.add_argument("--quiet", action="store_true", help="no progress")
     return parser
 
@@ -115,7 +120,15 @@ def _run(options):
             print(f"note: {note}", file=sys.stderr)
         use_jit_cache()
         path = Path(options.case).absolute()
-        job = Job(path, loaded.text, loaded.resolved, loaded.scene, options.out, options.fresh)
+        job = Job(
+            path,
+            loaded.text,
+            loaded.resolved,
+            loaded.scene,
+            options.out,
+            options.fresh,
+            options.prove,
+        )
         record, folder = run_job(job, None if options.quiet else Progress(), stop)
     if record is None:
         print(f"{folder} holds this very run, and it ended well; --fresh runs it again")

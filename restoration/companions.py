@@ -15,8 +15,9 @@ from itertools import pairwise
 import numpy as np
 from scipy.spatial import cKDTree
 
+from restoration.diagnostics import line_distances, summary
 from restoration.errors import MeshError, SolveError, TooLargeError
-from restoration.lines import points_of, surface_of, with_points
+from restoration.lines import as_drawn, points_of, surface_of, with_points
 from restoration.scene import Outline
 from restoration.shapes import on_columns
 
@@ -31,6 +32,8 @@ ORDER = 1.0  # where it is not observed
 CHEAPER = {"rk4": "midpoint", "rk3": "midpoint"}  # schemes: the mesh of a companion is off by more
 THINNED = 4  # one of so many particles is in the companions that tell growth
 PROBED = 3  # one of so many ways between instants is gone by the coarsest companion
+FINER = 0.8  # cells of the way forward again, in cells of the run
+OTHER = {"rk4": "midpoint", "euler": "midpoint", "paper": "midpoint"}  # schemes of that; else rk4
 NEIGHBOURS = 6  # particles from which a displacement is read
 
 
@@ -105,15 +108,16 @@ class Follower:
         self._next = ahead[0] if len(ahead) else self.ends[1]
 
 
-def companion_scene(scene, coarser, times):
+def companion_scene(scene, coarser, times, scheme=None):
     """Return a scene on a mesh with cells some times as large, for a way back.
 
     Args:
         scene: `scene.Scene` of the run.
         coarser: how many times.
         times: model times of the way, s.
+        scheme: of the steps; None for that of the run, or one that costs less.
     """
-    coarser = max(1.0, min(coarser, min(scene.cells) / LEAST_CELLS))
+    coarser = min(coarser, max(1.0, min(scene.cells) / LEAST_CELLS))
     cells = tuple(max(1, round(n / coarser)) for n in scene.cells)
     way = scene.time
     per_cell = np.prod(scene.cells) / np.prod(cells) * scene.particles.per_cell
@@ -122,7 +126,9 @@ def companion_scene(scene, coarser, times):
         cells=cells,
         outline=on_columns(scene.outline, cells[0], scene.free)[0],
         particles=replace(scene.particles, per_cell=max(1, round(per_cell))),
-        time=replace(scene.time, marks=tuple(times), scheme=CHEAPER.get(way.scheme, way.scheme)),
+        time=replace(
+            scene.time, marks=tuple(times), scheme=scheme or CHEAPER.get(way.scheme, way.scheme)
+        ),
     )
 
 
@@ -135,16 +141,19 @@ class Companion:
         march: `run.march`.
         coarser: how many times larger its cells are.
         check: called after every step.
+        scheme: see `companion_scene`.
 
     Attributes:
+        cells: columns and rows of squares.
         coarser: the same, as the number of cells allows.
         seconds: it took so far.
     """
 
-    def __init__(self, follower, make_engine, march, coarser, check=None):
+    def __init__(self, follower, make_engine, march, coarser, check=None, scheme=None):
         begin = time.perf_counter()
         times = [state.time for state in follower.states]
-        self._scene = companion_scene(follower.scene, coarser, times)
+        self._scene = companion_scene(follower.scene, coarser, times, scheme)
+        self.cells = self._scene.cells
         self._march = march
         self._every = () if check is None else (lambda *_: check(),)
         self.coarser = float(np.sqrt(np.prod(follower.scene.cells) / np.prod(self._scene.cells)))
@@ -418,6 +427,43 @@ def subset(particles, rows):
     """Return some of the particles."""
     names = type(particles).__dataclass_fields__
     return replace(particles, **{name: getattr(particles, name)[rows] for name in names})
+
+
+def prove(follower, end, make_engine, march, check=None):
+    """Move a restored section forward again, and compare it with the given one.
+
+    Mesh, steps and scheme are others than those that restored it: what comes back is not the
+    algebra of a scheme and its reverse.
+
+    Args:
+        follower: `Follower` of the run.
+        end: `State` that was restored.
+        make_engine: makes the engine of a scene.
+        march: `run.march`.
+        check: called after every step.
+
+    Returns:
+        Entries of the record: ``cells, scheme, mean_m, p99_m, max_m``, ``horizons`` with distances
+        by name, ``failure``, None where the given section was reached, and ``wall_s``.
+    """
+    given, begin = follower.states[0], time.perf_counter()
+    scheme = OTHER.get(follower.scene.time.scheme, "rk4")
+    proof = {"cells": None, "scheme": scheme} | summary(np.empty(0))
+    proof |= {"horizons": None, "failure": None}
+    try:
+        prover = Companion(follower, make_engine, march, FINER, check, scheme)
+        proof["cells"] = list(prover.cells)
+        reached = prover.restored(end, given.time)
+    except TooLargeError:
+        raise
+    except (MeshError, SolveError) as error:
+        return proof | {"failure": str(error), "wall_s": round(time.perf_counter() - begin, 3)}
+    rows = matched(given.particles, reached.particles)
+    off = reached.particles.x[rows] - given.particles.x
+    proof |= summary(np.hypot(*off[rows >= 0].T))
+    proof["horizons"] = line_distances(as_drawn(given.lines), as_drawn(reached.lines))
+    prover.release()
+    return proof | {"wall_s": round(time.perf_counter() - begin, 3)}
 
 
 def deformation(before, after, near=9):

@@ -53,6 +53,7 @@ RECORD = {
     "horizons": (),
     "restorability": ("gamma_max_per_s", "growth", "horizon_s", "verdict"),
     "certificate": (),
+    "proof": (),
 }
 
 

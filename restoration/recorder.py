@@ -11,7 +11,7 @@ import numpy as np
 from restoration.canvas import time_text
 from restoration.certificate import certified, failed, outside_welds, report, sentences
 from restoration.certificate_figure import draw_certificate
-from restoration.companions import Follower, accompany
+from restoration.companions import Follower, accompany, prove
 from restoration.diagnostics import compared, relief, there_and_back, volume_by_rock
 from restoration.engine import StokesEngine
 from restoration.environment import versions
@@ -310,6 +310,27 @@ class Recorder:
         for line in sentences(found):
             self.say(line)
         self._certificate_s = round(time.perf_counter() - begin, 3)
+
+    def prove(self, march, check=None):
+        """Go forward again from where the way back ended, and compare; see `companions.prove`."""
+        follower = self._follower or Follower(self.scene)
+        if not follower.states or not follower.done:
+            self.say("no proof: this run restores nothing, or its certificate is off")
+            return
+        proof = prove(follower, follower.states[-1], self._make_engine, march, check)
+        self.record["proof"] = proof
+        if proof["failure"]:
+            self.say(f"proof: the way forward again ends early: {proof['failure']}")
+            return
+        self.say(
+            f"proof: forward again on {proof['cells'][0]} x {proof['cells'][1]} squares by "
+            f"{proof['scheme']}, particles come to {proof['mean_m']:.2f} m of the given section on "
+            f"average, p99 {proof['p99_m']:.2f} m"
+        )
+        for row in proof["horizons"]:
+            self.say(
+                f"  {row['name']}: {row['mean_m']:.2f} m on average, {row['max_m']:.2f} at most"
+            )
 
     def _write_record(self, code):
         if self.engine is not None:

@@ -79,6 +79,7 @@ class Job:
         scene: `scene.Scene`.
         out: run folder; None for ``runs/<case>-<hash8>`` in the working folder.
         fresh: whether an earlier run in the folder is thrown away.
+        prove: whether the restored section is moved forward again; no part of the case.
     """
 
     path: Path
@@ -87,6 +88,7 @@ class Job:
     scene: object
     out: Path | None = None
     fresh: bool = False
+    prove: bool = False
 
     @property
     def sha256(self):
@@ -167,6 +169,11 @@ def _earlier(folder):
         return sha, False
 
 
+def _proved(folder):
+    """Return whether the run in a folder has a proof."""
+    return bool(json.loads((folder / "run.json").read_text()).get("proof"))
+
+
 def _clear(folder):
     """Remove what a run leaves, and nothing else."""
     for pattern in RUN_FILES:
@@ -240,6 +247,11 @@ def run_job(job, progress=None, stop=None):
     with stop or StopRequest() as stop, locked(job.folder):
         folder = prepare_folder(job)
         if folder is None:
+            if job.prove and not _proved(job.folder):
+                raise CaseError(
+                    f"{job.folder}: holds this very run, without a proof; --fresh --prove runs it "
+                    "again with one"
+                )
             return None, job.folder
         stop.check()
         from restoration.recorder import Recorder  # loads dolfinx: only a run needs it
@@ -257,6 +269,8 @@ def run_job(job, progress=None, stop=None):
             )
             recorder.compare()
             recorder.certify(march, stop.check)
+            if job.prove:
+                recorder.prove(march, stop.check)
         except StoppedError as stopped:
             recorder.end(stopped)
             raise StoppedError(f"stopped on request {recorder.reached()}; see {folder}") from None

@@ -260,3 +260,26 @@ def test_folder_name_follows_the_case():
     made = Job(Path("a/salt/case.yaml"), "", "", None)
     assert made.folder.name == f"salt-{made.sha256[:8]}"
     assert Job(Path("a/exp1.yaml"), "", "", None).folder.name.startswith("exp1-")
+
+
+def test_a_restored_section_is_proved_by_going_forward_again(tmp_path):
+    scene = diapir_scene(cells=(8, 9), marks=(0, -0.3))
+    run_job(job(tmp_path, scene))
+    with pytest.raises(CaseError, match="--fresh --prove runs it again with one"):
+        run_job(job(tmp_path, scene, prove=True))
+    record, _ = run_job(job(tmp_path, scene, prove=True, fresh=True))
+    proof = record["proof"]
+    assert proof["cells"] == [10, 11]
+    assert proof["scheme"] == "midpoint"
+    assert proof["mean_m"] < 60
+    assert proof["horizons"][0]["mean_m"] < 60
+    assert record["certificate"]["rocks"][0]["name"] == "salt"
+    assert (tmp_path / "run" / "certificate.md").read_text().startswith("# Can this restoration")
+    assert run_job(job(tmp_path, scene, prove=True))[0] is None
+
+
+def test_no_certificate_where_it_is_off(tmp_path):
+    scene = diapir_scene(cells=(8, 9), marks=(0, -0.1), certificate=None)
+    record, folder = run_job(job(tmp_path, scene))
+    assert "certificate" not in record
+    assert not (folder / "certificate.md").exists()
