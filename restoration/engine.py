@@ -16,17 +16,11 @@ from restoration.bands import areas
 from restoration.diagnostics import relief
 from restoration.enclosed import kept
 from restoration.errors import MeshError, SolveError
-from restoration.free_surface import FreeSurface
+from restoration.free_surface import FreeSurface, with_area, without_cliffs
 from restoration.grid import Grid
 from restoration.guard import Guard
-from restoration.inflow import cast_off, cut, extended, flowed_in, touching
-from restoration.lines import (
-    begin,
-    refined,
-    surface_of,
-    with_points,
-    with_rows,
-)
+from restoration.inflow import cast_off, flowed_in, with_ends
+from restoration.lines import begin, refined, surface_of, with_points
 from restoration.mesher import Mesher
 from restoration.particles import OUTSIDE, empty_cells, fill_cells, relocate, seed
 from restoration.plan import active
@@ -34,7 +28,7 @@ from restoration.scene import WALLS, Line, Outline
 from restoration.state import State
 from restoration.step import Step
 from restoration.stokes import Counts
-from restoration.surface import line_area, standing
+from restoration.surface import standing
 from restoration.surface_modes import SETTLINGS
 from restoration.units import show
 
@@ -43,9 +37,7 @@ LINE_POINTS_PER_CELL = 4
 LINE_POINTS_PER_CELL_AT_TURNS = 32
 SURFACE_POINTS_PER_CELL = 8  # finer than the particles, which are a quarter of a square apart
 MOST_FALLEN = 1e-3  # of the section, that may fall from a surface in a step
-CLOSEST_PER_CELL = 64  # vertices that a cliff has pressed together nearer than this go
 TRIAL = 0.5  # of the relaxation time of the fastest mode: a step that tells a rate
-ON_WALL = 1e-9  # of the width: an end of a line this near to a side is on it
 SAFETY = 0.9  # of the step that would be off by just what is tolerated
 MOST_SHRUNK, MOST_GROWN, MOST_TRIALS = 0.2, 2.0, 12  # of steps by their error
 PARTS = ("setup", "mesh", "fields", "assemble", "solve", "surface", "advect")
@@ -383,7 +375,9 @@ class StokesEngine:
                 dt,
             )
         if self.surface:
-            lines = self._with_area(self._without_cliffs(lines), x[-1, 0] * move.width)
+            lines, fallen = without_cliffs(lines, MOST_FALLEN * self.start_area, self.cell_size)
+            lines, shift = with_area(lines, x[-1, 0] * move.width)
+            self.fallen, self.surface_shift = self.fallen + fallen, self.surface_shift + shift
         particles = replace(state.particles, x=moved["particles"])
         if not self.open:
             lines, shift = kept(state.lines, lines, self.scene.outline, self.scene.free)
@@ -436,17 +430,7 @@ class StokesEngine:
         if not self.open.intersection(("left", "right")):
             return lines
         edges = self.scene.outline.surface[[0, -1], 0]
-        left, right = (
-            x if name in self.open else sign * np.inf
-            for name, x, sign in zip(("left", "right"), edges, (-1, 1), strict=True)
-        )
-        spacing, kept = self.cell_size / LINE_POINTS_PER_CELL, []
-        for was, line in zip(before, lines, strict=True):
-            ends = touching(was, left, right, ON_WALL * self.scene.outline.width)
-            inside = cut(line, left, right)
-            if inside is not None:
-                kept.append(extended(inside, ends, spacing))
-        return tuple(kept)
+        return with_ends(before, lines, edges, self.open, self.cell_size / LINE_POINTS_PER_CELL)
 
     def _through_walls(self, particles, lines, moved):
         """Return the particles without those that left, and with those that flowed in."""
@@ -460,37 +444,6 @@ class StokesEngine:
             particles = flowed_in(particles, name, outline, moved[name], self.spacing)
             self.entered[name] += len(particles.x) - before
         return particles
-
-    def _without_cliffs(self, lines):
-        """Return the lines with what is too steep of the surface fallen down.
-
-        Raises:
-            MeshError: so much falls at once that it is no surface any more.
-        """
-        surface = surface_of(lines)
-        points, area = standing(surface.points)
-        if not area:
-            return lines
-        if area > MOST_FALLEN * self.start_area:
-            where = surface.points[np.abs(points - surface.points).max(axis=1).argmax()]
-            at = " and ".join(
-                f"{n} = {show(float(v), 'length')}" for n, v in zip("xz", where, strict=True)
-            )
-            raise MeshError(f"the surface overturns near {at}; nothing restores what lies below")
-        self.fallen += area
-        kept = np.r_[True, np.diff(points[:, 0]) > self.cell_size / CLOSEST_PER_CELL]
-        kept[[0, -1]] = True
-        upright = with_rows(replace(surface, points=points), kept)
-        return tuple(upright if x is surface else x for x in lines)
-
-    def _with_area(self, lines, area):
-        """Return the lines with the surface moved up or down as a whole to an area below it."""
-        surface = surface_of(lines)
-        points = surface.points.copy()
-        shift = (area - line_area(points)) / np.ptp(points[:, 0])
-        self.surface_shift += abs(shift)
-        points[:, 1] += shift
-        return tuple(replace(x, points=points) if x is surface else x for x in lines)
 
     def _on_equilibrium(self, state, settlings):
         """Return a state with the slaved modes of its surface on their equilibrium."""

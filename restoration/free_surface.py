@@ -1,10 +1,18 @@
 """How a free surface is carried through time: which steps it bears, and what backward."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from restoration.advection import SCHEMES
+from restoration.errors import MeshError
 from restoration.layered import longest_way_back
+from restoration.lines import surface_of, with_rows
+from restoration.surface import line_area, standing
 from restoration.surface_modes import INTEGRABLE, Slaving, SurfaceResponse
+from restoration.units import show
+
+CLOSEST_PER_CELL = 64  # vertices that a cliff has pressed together nearer than this go
 
 
 class FreeSurface:
@@ -80,3 +88,41 @@ class FreeSurface:
         wanted = self.plan.reverse
         if rate and (wanted == "slave" or (wanted == "auto" and self.growth > INTEGRABLE)):
             self.slaving = Slaving(span, self.plan.tolerance)
+
+
+def without_cliffs(lines, most, cell_size):
+    """Return the lines with what is too steep of the surface fallen down, and its area, m^2.
+
+    Args:
+        lines: `lines.MovingLine`s with a surface.
+        most: area that may fall at once, m^2.
+        cell_size: m.
+
+    Raises:
+        MeshError: so much falls at once that it is no surface any more.
+    """
+    surface = surface_of(lines)
+    points, area = standing(surface.points)
+    if not area:
+        return lines, 0.0
+    if area > most:
+        where = surface.points[np.abs(points - surface.points).max(axis=1).argmax()]
+        at = " and ".join(
+            f"{n} = {show(float(v), 'length')}" for n, v in zip("xz", where, strict=True)
+        )
+        raise MeshError(f"the surface overturns near {at}; nothing restores what lies below")
+    kept = np.r_[True, np.diff(points[:, 0]) > cell_size / CLOSEST_PER_CELL]
+    kept[[0, -1]] = True
+    upright = with_rows(replace(surface, points=points), kept)
+    return tuple(upright if x is surface else x for x in lines), area
+
+
+def with_area(lines, area):
+    """Return the lines with the surface at an area below it, m^2, and how far it went, m.
+
+    It moves up or down as a whole.
+    """
+    surface = surface_of(lines)
+    shift = (area - line_area(surface.points)) / np.ptp(surface.points[:, 0])
+    moved = replace(surface, points=surface.points + [0.0, shift])
+    return tuple(moved if x is surface else x for x in lines), abs(shift)

@@ -17,6 +17,7 @@ from restoration.scene import WALLS
 ALMOST = 0.95  # of a spacing that a row lacks before a particle is born there
 NEAREST = 0.6  # spacings from a particle to one born beside it, at least
 DEEPEST = 1.5  # spacings that may be without particles in front of what flowed in
+ON_WALL = 1e-9  # of the width: an end of a line this near to a side is on it
 ACROSS = 0.1  # weight of the distance across the wall when the layer of new rock is looked for
 
 
@@ -97,6 +98,29 @@ def flowed_in(particles, name, outline, moved, spacing):
     nowhere = np.full(len(x), OUTSIDE, np.int32)
     unit = _layer(particles, name, x)
     return joined(particles, Particles(x, unit, area, np.full_like(x, np.nan), nowhere))
+
+
+def with_ends(before, lines, edges, walls, spacing):
+    """Return lines cut at the open sides where they have left, and drawn on where they lack.
+
+    Args:
+        before: the lines before a step.
+        lines: the same after it.
+        edges: x of the left and the right side, m.
+        walls: names of the walls that are open.
+        spacing: of new vertices, m.
+    """
+    left, right = (
+        x if name in walls else sign * np.inf
+        for name, x, sign in zip(("left", "right"), edges, (-1, 1), strict=True)
+    )
+    kept = []
+    for was, line in zip(before, lines, strict=True):
+        ends = touching(was, left, right, ON_WALL * np.ptp(edges))
+        inside = cut(line, left, right)
+        if inside is not None:
+            kept.append(extended(inside, ends, spacing))
+    return tuple(kept)
 
 
 def _kept(particles, keep):

@@ -7,7 +7,7 @@ import pytest
 
 from restoration.engine import StokesEngine
 from restoration.errors import MeshError
-from restoration.free_surface import FreeSurface
+from restoration.free_surface import FreeSurface, without_cliffs
 from restoration.layered import Layer, fastest_decay
 from restoration.lines import surface_of
 from restoration.run import march
@@ -192,7 +192,7 @@ def test_a_surface_that_overturns_ends_with_its_place():
     folded = replace(surface, points=points)
     lines = tuple(folded if line is surface else line for line in state.lines)
     with pytest.raises(MeshError, match=r"overturns near x = .* km and z = "):
-        engine._without_cliffs(lines)
+        without_cliffs(lines, 1e-3 * engine.start_area, engine.cell_size)
     assert MeshError.exit_code == 4
 
 

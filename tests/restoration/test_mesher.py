@@ -94,10 +94,10 @@ def test_every_element_moves_the_diapir_alike(element):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("mesh", [REFINED, FITTED], ids=["refined", "fitted"])
-def test_a_diapir_comes_back_on_meshes_that_change(mesh):
+@pytest.mark.parametrize(("mesh", "adapts"), [(REFINED, True), (FITTED, False)])
+def test_a_diapir_comes_back_on_meshes_that_change(mesh, adapts):
     engine, (first, top, last) = journey(diapir_scene(mesh=mesh, marks=(0, 1, 0)))
-    assert engine.meshes > 10
+    assert (engine.meshes > 10) == adapts  # the other one moves
     assert first.time == last.time != top.time
     (row,) = line_distances(first.lines, last.lines)
     assert row["max_m"] < 5
