@@ -109,8 +109,8 @@ def _to_set(pieces, others):
 def volume_by_rock(scene, grid, particles):
     """Return the area each rock fills on the mesh, m^2 (volume per metre of strike), by name.
 
-    The rock is read as the flow sees it: by the hat-weighted means, so clustering of particles and
-    empty patches show; in a fitted mesh by the cells.
+    The rock is read as the flow sees it: as its density goes to the mesh, so clustering of particles
+    and empty patches show; in a fitted mesh by the cells.
 
     Args:
         scene: `scene.Scene`.
@@ -123,7 +123,7 @@ def volume_by_rock(scene, grid, particles):
         share = table[grid.fields.unit]
     else:
         p, weights = particles, grid.index.locate(particles.x, particles.cell)[1]
-        hats = grid.fields.hat_means(table, p.cell, weights, p.unit, p.area)
+        hats = grid.fields.shares(table, p.cell, weights, p.unit, p.area)
         share = hats[grid.spaces.h_nodes].mean(axis=1)
         share[grid.fields.in_air] = 0
     volume = np.einsum("c,cr->r", grid.index.area, share)

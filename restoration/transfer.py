@@ -150,6 +150,15 @@ class RockFields:
         nodes = self.spaces.h_nodes
         return _hat_means(table, cell, weights, unit, area, nodes, self._vertices, BACKGROUND)
 
+    def shares(self, table, cell, weights, unit, area):
+        """Return values of rocks at the vertices as the density has them, (vertices, properties).
+
+        Args:
+            table, cell, weights, unit, area: as in `hat_means`.
+        """
+        hats = self.hat_means(table, cell, weights, unit, area)
+        return hats if self._sharpened is None else self._sharpened(hats)
+
     def _values(self, kind, column, hats, x, cell, weights, unit, area):
         if kind == "hat":
             return hats[:, column]
@@ -213,11 +222,11 @@ class Sharpening:
         self._narrowed = _factor(self._wide)
 
     def __call__(self, means):
-        """Return the values at the vertices that have the moments of means, shape (vertices,)."""
+        """Return the values at the vertices that have the moments of means, same shape."""
         if self._index.corners is not self._corners:
             self._find_mass()
         values, inner = means.copy(), self._inner
-        values[inner] = self._mass.solve(self._narrowed.solve(self._size * means[inner]))
+        values[inner] = self._mass.solve(self._narrowed.solve((self._size * means[inner].T).T))
         return values
 
     def _find_mass(self):
