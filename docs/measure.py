@@ -5,6 +5,7 @@ Each prints a table. They take from one to some ten minutes on two cores.
 
 import argparse
 import json
+import resource
 import subprocess
 import sys
 import tempfile
@@ -27,6 +28,7 @@ ROOT = Path(__file__).parents[1]
 DEMO = ROOT / "cases" / "diapir-isoviscous" / "case.yaml"
 WEAK = ROOT / "cases" / "diapir-two-viscosities" / "case.yaml"
 MYR = 1e6 * YEAR
+FITTED = ("mesh.interfaces=fitted", "particles.per_cell=1")
 
 
 class BirthsEverywhere(StokesEngine):
@@ -194,6 +196,44 @@ def weak():
     row("as shipped", *back(*journey(WEAK)))
 
 
+def cpu():
+    """Return the processor time used so far, s."""
+    used = resource.getrusage(resource.RUSAGE_SELF)
+    return used.ru_utime + used.ru_stime
+
+
+def leg(marks, cells, scheme, courant, state=None):
+    """Run the demo with mesh lines on its horizon; return both ends and what it took."""
+    entries = {"marks": marks, "scheme": scheme, "courant": courant}
+    overrides = [f"time.{name}={value}" for name, value in entries.items()]
+    scene = load(DEMO, [*overrides, f"mesh.cells={cells}", *FITTED]).scene
+    begin, engine, salt = cpu(), StokesEngine(scene), []
+
+    def note(_, state):
+        salt.append(volume_by_rock(scene, state.grid, state.particles)["salt"])
+
+    start = engine.start() if state is None else engine.taken_over(state)
+    end = march(start, engine, scene.time, every_step=(note,))
+    drift = max(abs(one / salt[0] - 1) for one in salt)
+    return start, end, (engine._steps, engine.meshes, f"{cpu() - begin:.0f}", f"{drift:.0e}")
+
+
+def fitted():
+    """The horizon of a fitted run restored from a forward run of another mesh, step and scheme."""
+    row("from", "cells", "scheme", "horizon: mean / max, m", "steps, meshes, CPU s, area drift")
+    for age in (1, 1.5):
+        for there, back_again in ((32, 40), (45, 56)):
+            start, end, _ = leg(f"[0 Myr, {age} Myr]", there, "rk4", 0.5)
+            for scheme, courant in (("midpoint", 0.25), ("rk3", 0.35)):
+                marks = f"[{age} Myr, 0 Myr]"
+                _, last, cost = leg(marks, back_again, scheme, courant, end)
+                line = line_distances(as_drawn(start.lines), as_drawn(last.lines))[0]
+                error = f"{line['mean_m']:.3f} / {line['max_m']:.3f}"
+                row(
+                    f"{age} Myr", f"{there}, {back_again}", scheme, error, ", ".join(map(str, cost))
+                )
+
+
 def memory():
     """Greatest resident memory of a run of one step, against what `restore check` says before."""
     row("unknowns", "particles", "peak, MB", "forecast, MB")
@@ -208,7 +248,7 @@ def memory():
         row(record["unknowns"], record["particles"], f"{record['peak_rss_mb']:.0f}", told)
 
 
-TABLES = {f.__name__: f for f in (reversibility, truth, volume, velocity, weak, memory)}
+TABLES = {f.__name__: f for f in (reversibility, truth, volume, velocity, weak, fitted, memory)}
 TABLES |= {f.__name__: f for f in (rock, seeds)}
 
 

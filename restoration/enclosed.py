@@ -1,4 +1,4 @@
-"""Areas that horizons part a section into: rock neither leaves nor enters them between closed walls.
+"""Areas that horizons part a section into: between closed walls rock neither leaves nor enters.
 
 Steps of finite length, chords between vertices and vertices that come and go change them by a
 little, which moving the horizon as a whole along its normals sets right.
@@ -15,8 +15,8 @@ PASSES = 8  # of the correction, each far smaller than the last
 def kept(before, after, outline, free):
     """Return lines after a step with the areas that they enclosed before it, and how far they went.
 
-    It is for horizons that go from one side of the section to the other, or to base or surface where
-    these are walls, and for closed ones; no wall may be crossed by rock.
+    It is for horizons that go from one side of the section to the other, or to base or surface
+    where these are walls, and for closed ones; no wall may be crossed by rock.
 
     Args:
         before, after: `lines.MovingLine`s, the same ones.
