@@ -218,8 +218,7 @@ def time_text(scene, time, before=None):
         time: model time, s.
         before: model time of the picture before, s, if there is one.
     """
-    young = max(map(abs, scene.time.marks)) < 0.1e6 * YEAR
-    size, span, age = (1e3 * YEAR, "kyr", "ka") if young else (1e6 * YEAR, "Myr", "Ma")
+    size, span, age = time_units(scene)
     from_today = counts_back(scene)
     text = f"t = {time / size:.2f} {span}"
     if from_today:
@@ -229,6 +228,12 @@ def time_text(scene, time, before=None):
     if time < before:
         return f"{text} (restored)"
     return f"{text} (forward)" if from_today and time > before else text
+
+
+def time_units(scene):
+    """Return the size, s, of the unit of time that suits a run, and its names for time and age."""
+    young = max(map(abs, scene.time.marks)) < 0.1e6 * YEAR
+    return (1e3 * YEAR, "kyr", "ka") if young else (1e6 * YEAR, "Myr", "Ma")
 
 
 def length_unit(extent):

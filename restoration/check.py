@@ -9,6 +9,7 @@ from restoration.layered import restorable
 from restoration.plan import active, time_label, unknowns
 from restoration.scene import WALLS, Table
 from restoration.seeding import count_points
+from restoration.stopping import asked
 from restoration.units import show
 
 # Memory of a run: a base, MB, and bytes for each unknown and each particle; fitted to the table of
@@ -47,6 +48,7 @@ def describe(loaded):
             for name in WALLS
         },
         "marks_s": list(scene.time.marks),
+        "stop": scene.time.stop and dict(vars(scene.time.stop)),
         "scheme": scene.time.scheme,
         "cells": cells,
         "mesh_varies": scene.mesh.refine is not None or scene.mesh.interfaces != "particles",
@@ -89,6 +91,8 @@ def describe_text(loaded):
         way = "forward" if b > a else "restoring"
         ends = f"from {time_label(scene, a)} to {time_label(scene, b)}"
         lines.append(f"march      {ends}, {way}")
+    if scene.time.stop:
+        lines.append(f"stop       {asked(scene.time.stop)}")
     across, up = scene.cells
     shape = "squares" if scene.mesh.element.startswith("Q") else "triangles"
     refined = scene.mesh.refine is not None

@@ -164,6 +164,8 @@ def summary(record, folder):
         f"{record['steps']} steps, {record['stokes_solves']} Stokes solves, "
         f"{record['wall_s']:.0f} s; particles lost: {record['particles_lost']}"
     ]
+    if record.get("stopped"):
+        lines.append(f"stop: {record['stopped']['verdict']}")
     back = record.get("there_and_back")
     if back:
         lines.append(

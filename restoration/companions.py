@@ -97,8 +97,9 @@ class Follower:
     def finished(self, state):
         """Return whether the way back was gone; ``state`` is where the run has ended."""
         if self.states and not self.done and state is not None and state.time == self._last_seen:
-            if self.states[-1].time != state.time:  # it stopped earlier than its last mark
-                self._keep(state)
+            # it stopped earlier than its last mark, or went back to where it was flattest
+            self.states = [kept for kept in self.states if kept.time > state.time]
+            self._keep(state)
             self.ends = self.ends[0], state.time
         return self.done and len(self.states) > 1
 

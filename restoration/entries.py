@@ -7,7 +7,14 @@ import re
 from itertools import pairwise
 from typing import Annotated
 
-from pydantic import AfterValidator, Field, PlainValidator, WrapValidator, field_validator
+from pydantic import (
+    AfterValidator,
+    Field,
+    PlainValidator,
+    WrapValidator,
+    field_validator,
+    model_validator,
+)
 
 from restoration.fault_entries import FaultEntry
 from restoration.kinds import Entry, Length, Name, Size, quantity, read_names, words
@@ -405,6 +412,37 @@ class Transfer(Entry):
         return value
 
 
+class Stop(Entry):
+    """Where a march ends before its last mark."""
+
+    horizon: Annotated[tuple[str, ...], PlainValidator(read_names)]
+    flat: Size | None = None
+    relief: Size | None = None
+    depth: Length | None = None
+    flattest: bool | None = None
+
+    @model_validator(mode="after")
+    def _one(self):
+        """Refuse more than one criterion, or none."""
+        criteria = ("flat", "relief", "depth", "flattest")
+        given = [name for name in criteria if getattr(self, name) is not None]
+        such = "one of flat: 50 m, relief: 100 m, depth: 3 km, flattest: true"
+        if self.flattest is False:
+            raise ValueError(f"flattest is true or not given; write {such}")
+        if len(given) != 1:
+            what = f"{listed(given, last='and')} together" if given else "no criterion"
+            raise ValueError(f"{what}; write {such}")
+        return self
+
+
+def read_known_age(value):
+    """Return an age or a duration above 0."""
+    known = read_mark(value)
+    if not known.si > 0:
+        raise ValueError(f"{quoted(known.text)} must be above 0")
+    return known
+
+
 class Time(Entry):
     """The march."""
 
@@ -413,6 +451,26 @@ class Time(Entry):
     courant: Annotated[float, Field(gt=0, le=1e3)] | None = None
     min_steps: Annotated[int, Field(ge=1, le=10**6)] | None = None
     tolerance: quantity("length", low=1e-6, high=1e6) | None = None
+    stop: Stop | None = None
+    known_age: Annotated[Quantity, PlainValidator(read_known_age)] | None = None
+
+    @field_validator("stop")
+    @classmethod
+    def _one_way(cls, value, found):
+        """Refuse to stop between marks that turn back."""
+        marks = found.data.get("marks", ())
+        for a, b, c in zip(marks, marks[1:], marks[2:], strict=False):
+            if value is not None and (b.si - a.si) * (c.si - b.si) < 0:
+                raise ValueError(f"is for marks that go one way, and these turn at {b.text}")
+        return value
+
+    @field_validator("known_age")
+    @classmethod
+    def _stops(cls, value, found):
+        """Refuse a known age of nothing."""
+        if value is not None and "stop" in found.data and found.data["stop"] is None:
+            raise ValueError("is the age of where the run stops; give time.stop too")
+        return value
 
     @field_validator("tolerance")
     @classmethod

@@ -17,8 +17,10 @@ from restoration.canvas import (
     paint_rocks,
     scale_bar,
     time_text,
+    time_units,
 )
 from restoration.page import INK, Page, legend_size, shorten, style
+from restoration.plan import counts_back
 from restoration.units import number
 
 LEFT, BOTTOM, TOP, GAP = 110, 110, 90, 40  # margins around sections and the space between, pixels
@@ -110,6 +112,45 @@ def _grid_of(panels, extent):
         choices[columns] = fit(extent, panels[0].scene.output.exaggeration, *box)
     columns = max(choices, key=lambda columns: choices[columns])
     return columns, choices[columns]
+
+
+@style()
+def draw_flatness(path, scene, stopping):
+    """Draw what a stop measured against time, as PNG.
+
+    Args:
+        path: path of the picture.
+        scene: what is modelled.
+        stopping: `restoration.stopping.Stopping` of a march that has ended.
+
+    Raises:
+        OutputError: the picture could not be written.
+    """
+    plan, back = stopping.plan, counts_back(scene)
+    size, span, age = time_units(scene)
+    time, value = np.array(sorted(stopping.history)).T
+    page = Page(1200, 760)
+    axes = page.axes(LEFT, BOTTOM, 1200 - LEFT - 60, 760 - BOTTOM - TOP)
+    sign = -1 if back else 1
+    axes.plot(sign * time / size, value, color=INK, linewidth=1.2, marker=".", markersize=3)
+    if plan.value is not None:
+        axes.axhline(plan.value, color="#9aa7b5", linewidth=0.8, linestyle="--")
+    if stopping.time is not None:
+        at = sign * stopping.time / size
+        axes.axvline(at, color="#c00020", linewidth=0.8)
+        axes.plot([at], [stopping.value], "o", color="#c00020", markersize=5)
+    what = {"relief": "Relief", "depth": "Depth of the highest point"}
+    axes.set(
+        xlabel=f"Age ({age})" if back else f"Time ({span})",
+        ylabel=f"{what.get(plan.criterion, 'Root mean square of the height')} (m)",
+    )
+    for axis in (axes.xaxis, axes.yaxis):
+        axis.set_major_formatter(lambda x, _: number(x + 0.0, 4))
+    axes.spines[["top", "right"]].set_visible(False)
+    page.text(LEFT, 760 - 40, shorten(scene.title, 70), weight="bold", size=11)
+    met = "stopped at the red line" if stopping.time is not None else "not met"
+    page.text(LEFT, 760 - 72, f"{shorten(plan.horizon, 50)}: {met}")
+    page.save(path)
 
 
 @style()

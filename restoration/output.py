@@ -54,6 +54,9 @@ RECORD = {
     "restorability": ("gamma_max_per_s", "growth", "horizon_s", "verdict"),
     "certificate": (),
     "proof": (),
+    "stopped": ("criterion", "horizon", "wanted_m", "value_m", "time_s", "duration_s", "met"),
+    "viscosity_factor": (),
+    "fitting_viscosity": (),
 }
 
 

@@ -4,6 +4,7 @@ import resource
 import subprocess
 import time
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +17,7 @@ from restoration.diagnostics import compared, relief, there_and_back, volume_by_
 from restoration.engine import StokesEngine
 from restoration.environment import versions
 from restoration.errors import MeshError, RestorationError, SolveError, StoppedError
-from restoration.figures import draw_section, draw_strip, draw_there_and_back
+from restoration.figures import draw_flatness, draw_section, draw_strip, draw_there_and_back
 from restoration.layered import restorable
 from restoration.lines import as_drawn
 from restoration.output import (
@@ -27,6 +28,7 @@ from restoration.output import (
     write_record,
 )
 from restoration.plan import counts_back, time_label
+from restoration.stopping import Stopping, fitting_text, flatness_of
 from restoration.topography import dynamic_topography
 from restoration.units import MYR, show
 from restoration.welds import welds
@@ -48,6 +50,7 @@ COLUMNS = (
     "particles_entered",
     "empty_cells",
     "held_on_wall",
+    "flatness_m",
     "surface_relief_m",
     "surface_shift_m",
     "horizon_shift_m",
@@ -70,12 +73,13 @@ class Recorder:
     Attributes:
         engine: the engine, after `begin`.
         record: what run.json will hold.
+        stopping: `Stopping` of the march.
     """
 
     def __init__(self, job, folder, progress=None, engine=StokesEngine):
         self.job, self.scene, self.folder, self.progress = job, job.scene, Path(folder), progress
         self._make_engine = engine
-        self.engine = None
+        self.engine, self.stopping = None, Stopping(self.scene.time)
         self.steps, self.elapsed = 0, 0.0
         self._began, self._output_s = time.perf_counter(), 0.0
         self._marks, self._volumes = [], []  # states at the marks passed, and area by rock
@@ -127,6 +131,7 @@ class Recorder:
             step=self.steps,
             time_Myr=state.time / MYR,
             dt_kyr=dt / MYR * 1e3,
+            flatness_m=flatness_of(state.lines, self.stopping.plan),
             wall_s=time.perf_counter() - self._began,
             **self.engine.numbers(state),
         )
@@ -135,6 +140,7 @@ class Recorder:
         self._tell(state, dt)
         at = self.scene.output.at
         arrived = state.time == self.scene.time.marks[len(self._marks)]  # the mark writes its own
+        arrived = arrived or self.stopping.over
         if at != "marks" and self.steps % at == 0 and not arrived:
             self._frame(state)
         self._output_s += time.perf_counter() - begin
@@ -218,7 +224,7 @@ class Recorder:
         for note in self.engine.notes[self._told :]:
             self.say(note)
         self._told = len(self.engine.notes)
-        share = self.elapsed / self._path
+        share = min(self.elapsed / self._path, 1.0)
         wall = time.perf_counter() - self._began
         line = (
             f"step {self.steps}  {time_label(self.scene, state.time)}  dt {show(dt, 'time')}  "
@@ -258,6 +264,7 @@ class Recorder:
         """Compare the marks, and draw them side by side and against where the run began."""
         begin = time.perf_counter()
         figures, first, last = self.folder / "figures", self._marks[0], self._marks[-1]
+        self._note_stop()
         panels = [
             (self.scene, s.time, s.particles.x, s.particles.unit, s.lines) for s in self._marks
         ]
@@ -331,6 +338,18 @@ class Recorder:
             self.say(
                 f"  {row['name']}: {row['mean_m']:.2f} m on average, {row['max_m']:.2f} at most"
             )
+
+    def _note_stop(self):
+        """Note, say and draw where the march has stopped by itself."""
+        stopping, plan = self.stopping, self.stopping.plan
+        if plan is None:
+            return
+        label = partial(time_label, self.scene)
+        self.record |= {"stopped": stopping.about(label)} | (fit := stopping.fitting(self.scene))
+        self.say(f"stop: {stopping.verdict(label)}")
+        if fit:
+            self.say(f"known age: {fitting_text(plan, fit)}")
+        draw_flatness(self.folder / "figures" / "flatness.png", self.scene, stopping)
 
     def _write_record(self, code):
         if self.engine is not None:

@@ -38,6 +38,8 @@ from restoration.scene import (
     normal_velocity,
 )
 from restoration.shapes import find_source, from_file, from_layers, on_columns
+from restoration.stopping import find_stop
+from restoration.stopping import notes as stop_notes
 from restoration.units import Quantity
 from restoration.walls import loose, misplaced, unbalanced, wall_of
 from restoration.words import listed
@@ -103,6 +105,8 @@ def load(path, overrides=(), allow_outside=False):
     cells = _cells(case, shape.outline)
     outline, cut = on_columns(shape.outline, cells[0], walls["surface"].kind == "free")
     faults += _too_large(case, cells, tree)
+    stop, unmet = find_stop(case, shape, walls, tree)
+    faults += unmet
     if faults:
         raise CaseError(faults)
     shape, bands = with_faults(case, shape, outline, tree)
@@ -111,7 +115,8 @@ def load(path, overrides=(), allow_outside=False):
     notes = (*shape.notes, *cut)
     scene = _scene(case, shape, outline, walls, cells, case.title or _title(path), notes)
     notes = (*scene.notes, *slim_notes(bands, cells, outline, scene.mesh))
-    scene = replace(scene, faults=bands, notes=notes)
+    notes += stop_notes(stop)
+    scene = replace(scene, faults=bands, notes=notes, time=replace(scene.time, stop=stop))
     return Loaded(case, scene, text, resolved_yaml(case, scene, digest))
 
 

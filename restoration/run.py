@@ -15,6 +15,7 @@ from math import ceil
 from pathlib import Path
 
 from restoration.errors import CaseError, OutputError, SolveError, StoppedError
+from restoration.stopping import Stopping
 from restoration.units import show
 
 ROUNDING = 1e-9  # of a number of steps, which is a quotient of times
@@ -38,7 +39,7 @@ def next_time(t, mark, stable):
     return mark if n <= 1 else t + (mark - t) / n
 
 
-def march(state, engine, plan, every_step=(), at_marks=()):
+def march(state, engine, plan, every_step=(), at_marks=(), stopping=None):
     """March through the model times of a plan; decreasing marks restore.
 
     Args:
@@ -48,23 +49,29 @@ def march(state, engine, plan, every_step=(), at_marks=()):
         plan: `scene.TimePlan`.
         every_step: functions of the state before and after a step.
         at_marks: functions of the number of the mark and the state there, from the first mark on.
+        stopping: `stopping.Stopping` that may end the march; where it does is its last mark.
 
     Returns:
         The state at the last mark.
     """
+    stopping = stopping or Stopping()
     state = engine.with_flow(state)
+    stopping.begin(state)
     for task in at_marks:
         task(0, state)
     for number, mark in enumerate(plan.marks[1:], start=1):
         longest = abs(mark - state.time) / plan.min_steps
-        while state.time != mark:
+        while state.time != mark and not stopping.over:
             before = state
             until = next_time(state.time, mark, min(engine.stable_step(state, mark), longest))
             state = engine.with_flow(engine.advance(state, until))
+            state = stopping.landed(engine, before, state)
             for task in every_step:
                 task(before, state)
         for task in at_marks:
             task(number, state)
+        if stopping.over:
+            break
     return state
 
 
@@ -154,6 +161,7 @@ RUN_FILES = (
     "figures/there-and-back.png",
     "figures/certificate.png",
     "certificate.md",
+    "figures/flatness.png",
     "horizons/[0-9]*-*.geojson",
 )
 
@@ -266,6 +274,7 @@ def run_job(job, progress=None, stop=None):
                 job.scene.time,
                 every_step=(recorder.step, stop.check),
                 at_marks=(recorder.mark, stop.check),
+                stopping=recorder.stopping,
             )
             recorder.compare()
             recorder.certify(march, stop.check)

@@ -289,6 +289,27 @@ class SurfacePlan:
 
 
 @dataclass(frozen=True)
+class StopPlan:
+    """What ends a march before its last mark.
+
+    Attributes:
+        criterion: ``flat``, ``relief``, ``depth`` or ``flattest``.
+        horizon: what is measured, in words.
+        names: of its lines; a tuple for each horizon that is measured by itself.
+        value: where the run stops, m; None for the least.
+        known: duration that is known, s, or None.
+        start: what is measured of the section as given, m.
+    """
+
+    criterion: str
+    horizon: str
+    names: tuple[tuple[str, ...], ...]
+    value: float | None
+    known: float | None = None
+    start: float | None = None
+
+
+@dataclass(frozen=True)
 class TimePlan:
     """When the run passes where.
 
@@ -299,6 +320,7 @@ class TimePlan:
         min_steps: least number of steps between two marks.
         tolerance: what 99 of 100 points may be off after a step of ``rk3``, or the move at which
             the iterations of ``implicit-midpoint`` end, m; None for no control, or the default.
+        stop: `StopPlan`, or None.
     """
 
     marks: tuple[float, ...]
@@ -306,6 +328,7 @@ class TimePlan:
     courant: float
     min_steps: int
     tolerance: float | None = None
+    stop: StopPlan | None = None
 
 
 @dataclass(frozen=True)

@@ -37,6 +37,7 @@ ORDER = {
         "shapes",
         "faults",
         "walls",
+        "stopping",
         "resolve",
         "environment",
         "advection",
