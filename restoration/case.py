@@ -186,7 +186,8 @@ def _cross_faults(tree):
         if tree.raw(("boundary", name)) == "free" and name != "surface":
             message = "only the surface can be free; {traction: [0 MPa, 0 MPa]} leaves a wall alone"
             faults.append(tree.fault(("boundary", name), message))
-    return faults + wrong_faults(tree) + _surface_faults(tree) + _mesh_faults(tree)
+    faults += wrong_faults(tree) + _surface_faults(tree) + _mesh_faults(tree)
+    return faults + _line_faults(tree)
 
 
 def _surface_faults(tree):
@@ -207,6 +208,25 @@ def _surface_faults(tree):
             message = "below air the surface nodes move vertically only"
             faults.append(tree.fault((*at, "motion"), message))
     return faults
+
+
+def _line_faults(tree):
+    """Return the faults of rock that cannot be told by the lines between it."""
+    given, element = tree.raw(("transfer",)), tree.raw(("mesh", "element"))
+    wrong = []
+    if tree.raw(("section", "particles")) is not None:
+        wrong.append("a cloud of particles brings no lines that could tell its rock")
+    if isinstance(element, str) and element.startswith("Q"):
+        wrong.append(f"lines tell the rock of triangles only, and {element} lives on squares")
+    if tree.raw(("faults",)):
+        wrong.append("bands of faults lie on top of the lines, which do not tell their rock")
+    names = ("density", "viscosity") if isinstance(given, dict) else ()
+    return [
+        tree.fault(("transfer", name), f"{message}; take {instead}")
+        for name, instead in zip(names, ("projection", "hat"), strict=False)
+        if given.get(name) == "lines"
+        for message in wrong
+    ]
 
 
 def _mesh_faults(tree):

@@ -216,11 +216,11 @@ class StokesEngine:
                 return self.with_flow(self._left_to_particles(state, error))
         elif refine and self._steps % refine.every == 0:
             if "velocity-gradient" in refine.where and self._last_flow is None:
-                self._last_flow = self.solve(particles, state.time)
+                self._last_flow = self.solve(particles, state.time, state.lines)
             particles = self._adapt(particles, state.lines)
         else:
             particles = self._carried(particles, state.lines)
-        self._last_flow = self.solve(particles, state.time)
+        self._last_flow = self.solve(particles, state.time, state.lines)
         return replace(state, particles=particles, flow=self._last_flow, grid=self.grid)
 
     def _carried(self, particles, lines):
@@ -404,7 +404,7 @@ class StokesEngine:
             state, state.time - TRIAL / slaving.modes.rates[-1], "euler", slaving=False
         )
         at = self._placed(trial.particles, trial.lines)
-        flow = self.solve(at, trial.time)
+        flow = self.solve(at, trial.time, trial.lines)
         with self.timed("surface"):
             slaving.look(self.grid)
             slaving.passes(trial.time, surface_of(trial.lines).points, flow)
@@ -450,7 +450,7 @@ class StokesEngine:
         slaving, lines, particles = self.surface.slaving, state.lines, state.particles
         for _ in range(settlings):
             particles = self._placed(particles, lines)
-            flow = self.solve(particles, state.time)
+            flow = self.solve(particles, state.time, lines)
             with self.timed("surface"):
                 slaving.look(self.grid)
                 surface = surface_of(lines)
@@ -462,12 +462,13 @@ class StokesEngine:
                 lines = tuple(moved if line is surface else line for line in lines)
         return self.with_flow(State(state.time, particles, lines))
 
-    def solve(self, particles, time, hats=None, lead=0.0, before=None):
+    def solve(self, particles, time, lines, hats=None, lead=0.0, before=None):
         """Return the flow of particles in the mesh as it is.
 
         Args:
             particles: located `Particles`.
             time: model time, s, of what the walls prescribe.
+            lines: at the same moment.
             hats: of the particles, or None.
             lead, before: see `StokesProblem.stabilise`.
         """
@@ -475,7 +476,7 @@ class StokesEngine:
         with self.timed("fields"):
             if hats is None:
                 hats = grid.index.locate(particles.x, particles.cell)[1]
-            grid.fill(particles, hats)
+            grid.fill(particles, hats, lines)
         with self.timed("assemble"):
             grid.stokes.set_time(time)
             if self.surface:

@@ -396,8 +396,8 @@ class Particles(Entry):
 class Transfer(Entry):
     """How rock goes from particles to fields."""
 
-    density: words("projection", "hat", "linear", "quadrature", "cell") = "projection"
-    viscosity: words("hat", "linear", "quadrature", "cell") = "hat"
+    density: words("projection", "hat", "linear", "quadrature", "cell", "lines") = "projection"
+    viscosity: words("hat", "linear", "quadrature", "cell", "lines") = "hat"
     mean: words("harmonic", "geometric", "arithmetic") = "harmonic"
 
     @field_validator("viscosity", mode="before")

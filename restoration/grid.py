@@ -8,9 +8,11 @@ from mpi4py import MPI
 from scipy.spatial import cKDTree
 
 from forms.elements import ELEMENTS
+from meshes.box import AIR
 from meshes.split import barycentric_mesh
 from restoration.conservative import velocity_sampler
 from restoration.contacts import Contacts
+from restoration.line_rock import LineRock
 from restoration.lines import surface_of
 from restoration.particles import CellIndex, relocate
 from restoration.snapshot import FieldSnapshot
@@ -54,6 +56,7 @@ class Grid:
                 viscosity,
                 scene.transfer,
                 air and (air.density, air.viscosity / self.eta0),
+                self._line_rock(scene),
             )
         else:
             unit = units_of_regions(section, self.index, *regions, scene)
@@ -85,6 +88,15 @@ class Grid:
         self._squared = fem.form(rock * ufl.inner(self._u, self._u) * self.spaces.dx)
         self._snapshot = None
 
+    def _line_rock(self, scene):
+        """Return the `LineRock` of this mesh, or None where particles alone tell the rock."""
+        if "lines" not in (scene.transfer.density, scene.transfer.viscosity):
+            return None
+        rock = np.ones(len(self.index.area), bool)
+        if scene.air:
+            rock = self.section.regions != AIR
+        return LineRock(scene, self.spaces, self.index, rock)
+
     @property
     def sizes(self):
         """Side of the square that is split into cells of this area, shape (cells,), m."""
@@ -113,16 +125,17 @@ class Grid:
         self._snapshot = None
         return self.top.follow(points)
 
-    def fill(self, particles, hats):
-        """Fill the fields from particles; those of a fitted mesh stand.
+    def fill(self, particles, hats, lines):
+        """Fill the fields from particles and lines; those of a fitted mesh stand.
 
         Args:
             particles: located `Particles`.
             hats: of the particles, see `CellIndex`.
+            lines: moving lines at the same moment.
         """
         if isinstance(self.fields, RockFields):
             p = particles
-            self.fields.fill(p.x, p.cell, hats, p.unit, p.area)
+            self.fields.fill(p.x, p.cell, hats, p.unit, p.area, lines)
 
     def speeds(self, flow):
         """Return root mean square and greatest speed of the rock, m/s."""

@@ -73,6 +73,8 @@ def active(scene):
             f"density by {scene.transfer.density}, viscosity by {scene.transfer.viscosity} "
             f"({scene.transfer.mean} mean)"
         )
+        if "lines" in (scene.transfer.density, scene.transfer.viscosity):
+            parts.append("rock by lines: exact between the horizons, and particles where they end")
     return parts
 
 

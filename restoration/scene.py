@@ -194,9 +194,10 @@ class Transfer:
     Attributes:
         density: ``hat`` (continuous, hat-weighted vertices), ``projection`` (linear too, with the
             moments of the particles), ``linear`` (a plane in each cell), ``quadrature`` (arithmetic
-            mean of the particles around each quadrature point) or ``cell`` (arithmetic mean per
-            cell).
-        viscosity: one of the same but the projection, which overshoots.
+            mean of the particles around each quadrature point), ``cell`` (arithmetic mean per
+            cell) or ``lines`` (linear, with the exact moments of the rock between the lines).
+        viscosity: one of the same but the projection, which overshoots; by ``lines`` it is
+            constant in each cell.
         mean: of the viscosity: ``harmonic``, ``geometric`` or ``arithmetic``.
     """
 

@@ -116,7 +116,7 @@ class Step:
             cell, hats = self._located(x[: self.fixed])
             at = replace(at, cell=cell[: self.particles])
         before = self._flow_at if self._flow is not None and self.lead else None
-        return engine.solve(at, time, hats[: self.particles], self.lead, before)
+        return engine.solve(at, time, lines, hats[: self.particles], self.lead, before)
 
     def _flow_at(self, points):
         """Return the velocity of the last stage at points, on the mesh it was solved on."""

@@ -5,7 +5,8 @@ it, so the field is continuous in the particle positions; high order in time nee
 per cell and around quadrature points are those of the paper (sect. 3.4). A ``linear`` one fits a
 plane to the particles of every cell. The ``projection`` takes the smoothing of the hat means back,
 so that its moments against the hats are those of the particles; it overshoots beside a jump, which
-a density bears and a viscosity does not. Where mesh lines follow the rock nothing is averaged.
+a density bears and a viscosity does not. With ``lines`` the moments are those of the rock between
+the lines, exactly (see `line_rock`). Where mesh lines follow the rock nothing is averaged.
 """
 
 import basix
@@ -51,8 +52,11 @@ class RockFields:
         transfer: `scene.Transfer`.
         air: (density, viscosity over the reference) of the cells of the region `AIR`, which hold no
             particles; None where there is no air.
+        line_rock: `LineRock` of the same mesh where a transfer is ``lines``, else None.
 
     Attributes:
+        unsure: number of cells whose rock the lines could not tell when they were filled last: it
+            is the mean of their particles.
         rho: density, a Function, kg/m^3; in the air that of the rock goes on.
         density: with that of the air, a UFL expression, kg/m^3.
         eta: viscosity over the reference, a UFL expression.
@@ -61,17 +65,17 @@ class RockFields:
             points of cells are not there, so that the means of the cells stand for them.
     """
 
-    def __init__(self, spaces, index, density, viscosity, transfer, air=None):
+    def __init__(self, spaces, index, density, viscosity, transfer, air=None, line_rock=None):
         self.spaces, self.index, self.transfer = spaces, index, transfer
+        self._line_rock, self.unsure = line_rock, 0
         self._density = np.asarray(density, float)
         self._mean = AVERAGED[transfer.mean](np.asarray(viscosity, float))
         space = {"hat": spaces.H, "cell": spaces.D, "quadrature": spaces.P}
-        space["projection"] = spaces.H
         if "linear" in (transfer.density, transfer.viscosity):
             family = "DQ" if spaces.section.cell == "quadrilateral" else "DG"
             space["linear"] = fem.FunctionSpace(spaces.section.mesh, (family, 1))
-        self.rho = fem.Function(space[transfer.density], name="density")
-        self.theta = fem.Function(space[transfer.viscosity], name="theta")
+        self.rho = fem.Function(space.get(transfer.density, spaces.H), name="density")
+        self.theta = fem.Function(space.get(transfer.viscosity, spaces.D), name="theta")
         self._air = air
         self.in_air = np.zeros(len(spaces.h_nodes), bool)
         if air:
@@ -87,11 +91,11 @@ class RockFields:
         self._vertices = int(spaces.h_nodes.max()) + 1
         self._hats = np.full((self._vertices, 2), np.nan)
         self._sharpened = None
-        if transfer.density == "projection":
+        if transfer.density in ("projection", "lines"):
             self._sharpened = Sharpening(spaces, index, ~self.in_air)
 
-    def fill(self, x, cell, weights, unit, area):
-        """Fill the fields from particles.
+    def fill(self, x, cell, weights, unit, area, lines=()):
+        """Fill the fields from particles, and from lines where a transfer is ``lines``.
 
         Args:
             x: positions, shape (n, 2), m.
@@ -99,6 +103,7 @@ class RockFields:
             weights: hats of the points, shape (n, k), see `CellIndex`.
             unit: row of the unit table, shape (n,).
             area: weight of each particle, shape (n,).
+            lines: moving lines at this moment.
         """
         hats = self.hat_means(np.stack([self._density, self._mean], 1), cell, weights, unit, area)
         # Inside a step, before particles can be born there, such a vertex keeps what it had.
@@ -107,8 +112,9 @@ class RockFields:
             hats = np.where(np.isnan(hats), [self._density[0], self._mean[0]], hats)
         self._hats = hats
         cloud = x, cell, weights, unit, area
-        self.rho.x.array[:] = self._values(self.transfer.density, 0, hats, *cloud)
-        self.theta.x.array[:] = self._values(self.transfer.viscosity, 1, hats, *cloud)
+        between = self._between(lines, hats, *cloud[1:]) if self._line_rock else None
+        self.rho.x.array[:] = self._values(self.transfer.density, 0, hats, between, *cloud)
+        self.theta.x.array[:] = self._values(self.transfer.viscosity, 1, hats, between, *cloud)
         for values, means in self._cell_means.items():
             means.x.array[:] = cell_means(values)
 
@@ -159,9 +165,29 @@ class RockFields:
         hats = self.hat_means(table, cell, weights, unit, area)
         return hats if self._sharpened is None else self._sharpened(hats)
 
-    def _values(self, kind, column, hats, x, cell, weights, unit, area):
+    def _between(self, lines, hats, cell, weights, unit, area):
+        """Return the moments of density and averaged viscosity by the lines, (cells, 3, 2)."""
+        table, nodes = np.stack([self._density, self._mean], 1), self.spaces.h_nodes
+        moments, unsure = self._line_rock.moments(lines, table, (cell, weights, unit, area))
+        self.unsure = int(np.count_nonzero(unsure))
+        if self.unsure:
+            for j in range(2):
+                fallback = hats[nodes, j].mean(axis=1)
+                means = _cell_means(table[unit, j], cell, area, fallback)
+                moments[unsure, :, j] = (means * self.index.area)[unsure, None] / 3
+        return moments
+
+    def _values(self, kind, column, hats, between, x, cell, weights, unit, area):
         if kind == "hat":
             return hats[:, column]
+        if kind == "lines" and column == 0:
+            nodes = self.spaces.h_nodes
+            moments = np.bincount(nodes.ravel(), between[..., 0].ravel(), self._vertices)
+            return self._sharpened.with_moments(moments, hats[:, 0])
+        if kind == "lines":  # lines that cross each other a little take away what is not there
+            means = between[..., 1].sum(axis=1) / self.index.area
+            means[self.in_air] = self._mean[0]
+            return np.clip(means, self._mean.min(), self._mean.max())
         if kind == "projection":
             return self._sharpened(hats[:, column])
         table = (self._density, self._mean)[column]
@@ -223,11 +249,26 @@ class Sharpening:
 
     def __call__(self, means):
         """Return the values at the vertices that have the moments of means, same shape."""
-        if self._index.corners is not self._corners:
-            self._find_mass()
+        self._follow_mesh()
         values, inner = means.copy(), self._inner
         values[inner] = self._mass.solve(self._narrowed.solve((self._size * means[inner].T).T))
         return values
+
+    def with_moments(self, moments, values):
+        """Return the values at the vertices that have moments against the hats, (vertices,).
+
+        Args:
+            moments: shape (vertices,).
+            values: those of the vertices that are not of the rock, shape (vertices,).
+        """
+        self._follow_mesh()
+        values, inner = values.copy(), self._inner
+        values[inner] = self._mass.solve(moments[inner])
+        return values
+
+    def _follow_mesh(self):
+        if self._index.corners is not self._corners:
+            self._find_mass()
 
     def _find_mass(self):
         self._corners = self._index.corners

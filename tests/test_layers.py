@@ -47,6 +47,7 @@ ORDER = {
         "spaces",
         "particles",
         "inflow",
+        "line_rock",
         "transfer",
         "sampling",
         "conservative",

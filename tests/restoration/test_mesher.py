@@ -148,7 +148,7 @@ def test_meshes_of_the_past_leave_the_memory():
     state = engine.with_flow(engine.start())
     used = []
     for _ in range(12):
-        engine.solve(engine._adapt(state.particles, state.lines), 0.0)
+        engine.solve(engine._adapt(state.particles, state.lines), 0.0, state.lines)
         used.append(resident())
     assert used[-1] - used[3] < 40  # MB; each of the eight took 30
 
