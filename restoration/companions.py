@@ -22,11 +22,12 @@ from restoration.scene import Outline
 from restoration.shapes import on_columns
 
 INSTANTS = 12  # between the given section and the end
+STEPS = 4  # of the run at least, between two of them
 MOST_KEPT = 20_000_000  # particles of all instants together
 COARSER = (2.0, 3.0)  # cells of the companions, in cells of the run
 LEAST_CELLS = 6  # along the shorter side of a companion
 WAVES = 12  # half-waves across and up at most, of what moves the given section
-SHORTEST = 4  # cells of the companion: the shortest wave of it
+SHORTEST = 2  # cells of the companion: the shortest wave of it
 ORDERS = 1.0, 2.0  # between which the observed order of the mesh is believed
 ORDER = 1.0  # where it is not observed
 CHEAPER = {"rk4": "midpoint", "rk3": "midpoint"}  # schemes: the mesh of a companion is off by more
@@ -101,7 +102,13 @@ class Follower:
             self.states = [kept for kept in self.states if kept.time > state.time]
             self._keep(state)
             self.ends = self.ends[0], state.time
-        return self.done and len(self.states) > 1
+        if not self.done or len(self.states) < 2:
+            return False
+        # a companion makes a step at least from each to the next, and is to make fewer than the run
+        ways = int(np.clip(self.steps // STEPS, 3, INSTANTS))
+        kept = np.unique(np.linspace(0, len(self.states) - 1, ways + 1).round().astype(int))
+        self.states = [self.states[i] for i in kept]
+        return True
 
     def _keep(self, state):
         self.states.append(replace(state, flow=None, grid=None))
@@ -346,7 +353,7 @@ class Growth:
     seconds: float
 
 
-def accompany(follower, make_engine, march, noise, seeds=(11, 12), check=None):
+def accompany(follower, make_engine, march, noise, seeds=(11, 12, 13), check=None):
     """Restore the given section of a run with companions, as `Growth`.
 
     Args:
