@@ -22,6 +22,7 @@ import numpy as np
 from scipy.sparse import coo_matrix, csr_matrix
 from scipy.sparse.csgraph import connected_components
 
+ON_WALL = 1e-9  # slack of the hats of a point on a wall
 UNKNOWN = -2  # cell of a point that nobody had to know
 SAMPLES = 64  # segments of a drawn line that are asked for the rock beside them
 BESIDE = 1e-3  # of a segment's length: how far beside it
@@ -165,7 +166,7 @@ class LineRock:
         a, b, c = np.moveaxis(self._index.corners[np.maximum(cell, 0)], 1, 0)
         whole = _cross(b - a, c - a)
         hats = np.stack([_cross(c - b, x - b), _cross(a - c, x - c), _cross(b - a, x - a)]) / whole
-        return np.where(hats.min(axis=0) < -1e-9, -1, cell)
+        return np.where(hats.min(axis=0) < -ON_WALL, -1, cell)
 
     def _led_on(self, x, cell):
         """Return a point beyond each end of a line and its cell.
@@ -267,7 +268,9 @@ def _walk(
         wb, _ = _hats(b, corners[c])
         k, end = -1, 1.0
         for m in range(3):
-            if edges[c, m] != came and wb[m] < 0.0:
+            # a point that `_inside` has on a wall is not beyond it
+            least = -ON_WALL if neighbours[c, m] < 0 else 0.0
+            if edges[c, m] != came and wb[m] < least:
                 t = wa[m] / (wa[m] - wb[m]) if wa[m] > 0.0 else 0.0
                 t = max(t, begin)
                 if k < 0 or t < end:

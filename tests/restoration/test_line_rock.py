@@ -161,6 +161,18 @@ def test_a_gap_in_a_contact_leaves_its_cells_to_the_particles(box, gap):
     assert found[far] == pytest.approx(by_polygons(box, [above])[far], rel=1e-11)
 
 
+def test_ends_on_walls_but_for_rounding_are_on_them(box):
+    """In the mesh by what the first look tells and beyond it by the next."""
+    for z in np.linspace(-0.93, -0.07, 40):
+        points = np.array([[1e-16, z], [0.4, -0.5], [1 + 2.3e-16, -1 - z]])
+        for off in (0, 1e-15, -1e-15, 1e-12, -1e-12, 1e-10, 1e-8, -1e-8):
+            moved = points + [[off, 0], [0, 0], [-off, 0]]
+            above = shapely.Polygon([*points, (1, 0), (0, 0)])
+            found, unsure = moments(box, Section((line(moved),), (above,)))
+            assert not unsure.any()
+            assert found.sum() == pytest.approx(by_polygons(box, [above]).sum(), rel=1e-6)
+
+
 def test_ends_that_a_step_left_beside_a_wall_go_through_it(box):
     above = shapely.Polygon([*TILTED, (1, 0), (0, 0)])
     wanted = by_polygons(box, [above])
