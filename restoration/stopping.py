@@ -1,9 +1,9 @@
 """Where a run stops by itself, how long it took to there, and the viscosities a known age asks for.
 
-A criterion measures horizons by the heights of their lines, every piece by its length: how flat
-they are (root mean square of the height about its mean), their relief, or how deep their highest
-point lies. Where the measure passes the value asked for, the last step is taken anew to just that
-moment.
+A criterion measures horizons by the heights of their lines: how flat they are (root mean square of
+the height about its mean), their relief, or how deep their highest point lies. For flatness a line
+counts by how far it goes across: by its length, the scar that a diapir leaves would outweigh all
+else. Where the measure passes the value asked for, the last step is taken anew to just that moment.
 
 Stokes flow has no inertia. Where gravity and constant tractions alone drive it, viscosities that
 are all f times as high give the same way f times as slowly, with a free surface too. So what a
@@ -25,6 +25,7 @@ MOST_TRIALS = 6  # of landing there; each comes nearer by orders of magnitude, d
 # Past its least the measure is rising again, and not just rough, where it is so many times as large
 # and as many steps have gone.
 RISEN, STEPS_PAST = 1.2, 4
+UPRIGHT = 1e-9  # that a line counts by its length too, so that an upright one counts at all
 ALL, SURFACE = "all", "surface"
 
 
@@ -34,14 +35,15 @@ def flatness(surfaces):
     Args:
         surfaces: a list for each horizon, of its pieces, each of shape (n, 2), m.
     """
-    length = square = 0.0
+    across = square = 0.0
     for pieces in surfaces:
         ends = np.concatenate([np.column_stack([p[:-1, 1], p[1:, 1]]) for p in pieces])
-        long = np.concatenate([np.linalg.norm(np.diff(p, axis=0), axis=1) for p in pieces])
-        a, b = (ends - long @ ends.mean(axis=1) / long.sum()).T
-        square += long @ (a * a + a * b + b * b) / 3
-        length += long.sum()
-    return float(np.sqrt(square / length))
+        run, rise = np.abs(np.concatenate([np.diff(p, axis=0) for p in pieces])).T
+        weight = run + UPRIGHT * np.hypot(run, rise)
+        a, b = (ends - weight @ ends.mean(axis=1) / weight.sum()).T
+        square += weight @ (a * a + a * b + b * b) / 3
+        across += weight.sum()
+    return float(np.sqrt(square / across))
 
 
 def relief(surfaces):
@@ -162,7 +164,7 @@ def _named(given, lines, units, tree):
         for name in given
         if name not in known
     ]
-    return (tuple(dict.fromkeys(n for name in given for n in known.get(name, ()))),), faults
+    return tuple(tuple(known.get(name, ())) for name in dict.fromkeys(given)), faults
 
 
 def _known(case, walls, tree):
