@@ -109,8 +109,8 @@ def _to_set(pieces, others):
 def volume_by_rock(scene, grid, particles):
     """Return the area each rock fills on the mesh, m^2 (volume per metre of strike), by name.
 
-    The rock is read as the flow sees it: as its density goes to the mesh, so clustering of particles
-    and empty patches show; in a fitted mesh by the cells.
+    The rock is read as the flow sees it, as its density goes to the mesh, so that clusters of
+    particles and empty patches show; in a fitted mesh by the cells.
 
     Args:
         scene: `scene.Scene`.

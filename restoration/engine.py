@@ -20,7 +20,7 @@ from restoration.free_surface import FreeSurface, with_area, without_cliffs
 from restoration.grid import Grid
 from restoration.guard import Guard
 from restoration.inflow import cast_off, flowed_in, with_ends
-from restoration.lines import begin, refined, surface_of, with_points
+from restoration.lines import begin, most_vertices, refined, surface_of, with_points
 from restoration.mesher import Mesher
 from restoration.particles import OUTSIDE, empty_cells, fill_cells, relocate, seed
 from restoration.plan import active
@@ -77,6 +77,7 @@ class StokesEngine:
         self.surface = FreeSurface(scene) if scene.free else None
         self.surface_shift, self.horizon_shift, self.fallen = 0.0, 0.0, 0.0
         self.notes, self.fitted = [], scene.mesh.interfaces != "particles"
+        self._folded = set()  # names of lines that have come to the most vertices
         self.open = {n for n in WALLS if scene.normal_velocity(n) != 0} - (
             {"surface"} if scene.free else set()
         )
@@ -367,13 +368,16 @@ class StokesEngine:
             moved = move.parts(self._on_walls(x[: move.fixed]))
             rows = with_points(state.lines, moved["lines"])
             lines = self.with_ends(state.lines, rows)
+            most = most_vertices(self.section.cell_count)
             lines = refined(
                 lines,
                 self.cell_size / LINE_POINTS_PER_CELL,
                 self.cell_size / LINE_POINTS_PER_CELL_AT_TURNS,
                 until,
                 dt,
+                most,
             )
+            self._note_folded(lines, until, most)
         if self.surface:
             lines, fallen = without_cliffs(lines, MOST_FALLEN * self.start_area, self.cell_size)
             lines, shift = with_area(lines, x[-1, 0] * move.width)
@@ -392,6 +396,17 @@ class StokesEngine:
         with self.timed("advect"):
             particles = relocate(particles, self.grid.index)
         return State(until, particles, lines)
+
+    def _note_folded(self, lines, time, most):
+        """Note which lines have come to the most vertices, once for each."""
+        for line in lines:
+            if len(line.points) == most and line.name not in self._folded:
+                self._folded.add(line.name)
+                self.notes.append(
+                    f"from {show(time, 'time')} on {line.kind} {line.name} is followed by no more "
+                    f"than {most} vertices: it is folded finer than the cells tell; finer "
+                    "cells or shorter steps stir it less"
+                )
 
     def _find_rate(self, state):
         """Find the rate of the equilibrium of the surface where slaving begins, by a trial step."""

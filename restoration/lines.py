@@ -12,6 +12,10 @@ SHARP_TURN = 0.2
 # chord by no more than this part of it (a half circle leaves it by 0.5, a turn of 1 rad by 0.12).
 MOST_UNEVEN = 5.0
 MOST_SAGITTA = 0.15
+LEAST_LENGTH = 1e-6  # m, of a segment, where its length divides
+# A line that needs more vertices is folded finer than cells can tell: cells that are too large, or
+# steps that are too long, stir it without end, and its vertices would double every few steps.
+MOST_VERTICES, MOST_VERTICES_PER_CELL = 20_000, 5
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,7 +78,12 @@ def with_rows(line, rows):
     return replace(line, points=line.points[rows], added=line.added[rows], way=line.way[rows])
 
 
-def refined(lines, longest, shortest, time, dt):
+def most_vertices(cells):
+    """Return how many vertices a line may have in a mesh of so many cells."""
+    return min(MOST_VERTICES, MOST_VERTICES_PER_CELL * cells)
+
+
+def refined(lines, longest, shortest, time, dt, most=MOST_VERTICES):
     """Return the lines with vertices added where they are long or turn, and removed again.
 
     A new vertex lies on the cubic through the four vertices around its segment, by chord length: a
@@ -82,7 +91,8 @@ def refined(lines, longest, shortest, time, dt):
     error as much as the way there stretched the line. Where the four are too uneven for a cubic, or
     it leaves the chord as only a corner does, the vertex goes on the chord. A vertex goes when time
     turns and passes the moment that added it: before it, the line was well without. Those added
-    beside it on the way back go with it.
+    beside it on the way back go with it. Where a line comes to the most, its longest segments are
+    halved first, and the others wait.
 
     Args:
         lines: `MovingLine`s.
@@ -90,9 +100,12 @@ def refined(lines, longest, shortest, time, dt):
         shortest: segments below this are left alone, m.
         time: model time that the lines have reached, s.
         dt: the signed step that brought them there, s.
+        most: vertices of a line.
     """
     way = np.int8(np.sign(dt))
-    return tuple(_refined(_undone(line, time), longest, shortest, time, way) for line in lines)
+    return tuple(
+        _refined(_undone(line, time), longest, shortest, time, way, most) for line in lines
+    )
 
 
 def as_drawn(lines):
@@ -105,13 +118,16 @@ def _undone(line, time):
     return replace(line, points=line.points[keep], added=line.added[keep], way=line.way[keep])
 
 
-def _refined(line, longest, shortest, time, way):
+def _refined(line, longest, shortest, time, way, most):
     step = np.diff(line.points, axis=0)
     length = np.hypot(*step.T)
     direction = np.arctan2(step[:, 1], step[:, 0])
     turn = np.abs((np.diff(direction) + np.pi) % (2 * np.pi) - np.pi)
     sharp = np.maximum(np.r_[0, turn], np.r_[turn, 0]) > SHARP_TURN
     halved = np.flatnonzero((length > longest) | (sharp & (length > 2 * shortest)))
+    room = max(0, most - len(line.points))
+    if len(halved) > room:
+        halved = np.sort(halved[np.argsort(-length[halved], kind="stable")[:room]])
     middles = _middles(line.points, length, halved)
     added, ways = _descent(line, halved, time, way)
     return replace(
@@ -141,7 +157,7 @@ def _middles(points, length, segments):
         return chord
     first = np.clip(segments - 1, 0, len(points) - 4)
     near = first[:, None] + np.arange(4)
-    s = np.r_[0, np.cumsum(np.maximum(length, 1e-12))]
+    s = np.r_[0, np.cumsum(np.maximum(length, LEAST_LENGTH))]
     at = (s[segments] + s[segments + 1]) / 2
     weight = np.ones(near.shape)
     for j in range(4):

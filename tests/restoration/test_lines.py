@@ -98,3 +98,11 @@ def test_two_points_are_halved_on_their_chord():
     assert refined((line,), 60.0, 1.0, 1.0, 1.0)[0].points == pytest.approx(
         np.array([[0, 0], [50, 0], [100, 0]])
     )
+
+
+def test_vertices_end_at_the_most():
+    """A line that is stirred without end keeps its vertices, and halves its longest segments."""
+    line = moving(np.column_stack([np.r_[0, 1, 10, 100.0], np.zeros(4)]))
+    (fuller,) = refined((line,), longest=0.1, shortest=0.01, time=1.0, dt=1.0, most=5)
+    assert sorted(fuller.points[:, 0]) == pytest.approx([0, 1, 10, 55, 100])
+    assert len(refined((fuller,), 0.1, 0.01, 2.0, 1.0, most=5)[0].points) == 5
