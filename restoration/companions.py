@@ -35,6 +35,7 @@ THINNED = 4  # one of so many particles is in the companions that tell growth
 PROBED = 3  # one of so many ways between instants is gone by the coarsest companion
 FINER = 0.8  # cells of the way forward again, in cells of the run
 OTHER = {"rk4": "midpoint", "euler": "midpoint", "paper": "midpoint"}  # schemes of that; else rk4
+ON_SIDE = 1e-9  # of the width: this near to a side of the section is on it
 NEIGHBOURS = 6  # particles from which a displacement is read
 
 
@@ -204,12 +205,18 @@ def displaced(state, off, within=None):
         state: `State`.
         off: displacement of its particles, shape (n, 2), m.
         within: maps points (n, 2) into the section; None lets them be.
+
+    What of the lines is on a side of the section stays on it.
     """
     within = within or (lambda x: x)
     particles = replace(state.particles, x=within(state.particles.x + off))
     points = points_of(state.lines)
     if len(points):
-        points = within(points + read(state.particles.x, off, points))
+        sides, x = (points[:, 0].min(), points[:, 0].max()), points[:, 0]
+        off = read(state.particles.x, off, points)
+        on_side = np.abs(x[:, None] - sides).min(axis=1) <= ON_SIDE * np.ptp(sides)
+        off[on_side, 0] = 0.0
+        points = within(points + off)
     return replace(
         state, particles=particles, lines=with_points(state.lines, points), flow=None, grid=None
     )
