@@ -102,6 +102,7 @@ ORDER = {
         "reverse_surface",
         "graben",
         "certificate",
+        "paper",
         "pictures",
         "suite",
     ],

@@ -40,6 +40,7 @@ def run_graben(quick=False):
 
 
 def scene(cells, steps, marks):
+    """Return the scene of the case with other cells, steps and marks."""
     if not CASE.is_file():
         raise CaseError(f"{CASE}: is missing; the graben needs the cases of a checkout")
     entries = {"mesh.cells": cells, "time.min_steps": steps, "time.marks": marks}

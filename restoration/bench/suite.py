@@ -8,6 +8,7 @@ from restoration.bench import (
     certificate,
     graben,
     gravity,
+    paper,
     pictures,
     reliefs,
     rest,
@@ -44,6 +45,7 @@ BENCHMARKS = {
     "reverse-surface": reverse_surface.run_reverse_surface,
     "graben": graben.run_graben,
     "certificate": certificate.run_certificate,
+    "paper": paper.run_paper,
 }
 
 

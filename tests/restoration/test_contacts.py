@@ -109,7 +109,7 @@ def test_lines_of_another_state_get_a_mesh_of_their_own():
     [("midpoint", 1.85), ("implicit-midpoint", 1.9), ("rk3", 2.8), ("rk4", 3.5)],
 )
 def test_orders_in_time_while_the_mesh_only_moves(scheme, least):
-    """Two viscosities: where particles carry the rock rk4 loses an order, fitted it does not."""
+    """Two viscosities: where particles carry the rock rk3 and rk4 are of order 2, fitted they are not."""
     ends = []
     for name, steps in ((scheme, 3), (scheme, 6), ("rk4", 16)):
         tolerance = 1e-5 if name == "implicit-midpoint" else None

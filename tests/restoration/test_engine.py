@@ -129,26 +129,34 @@ def ends(scheme, counts, marks=(0.0, 2.0 * MYR), **plans):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("scheme", "least"),
-    [("midpoint", 1.75), ("implicit-midpoint", 1.9), ("rk3", 2.5), ("rk4", 3.5)],
+    ("scheme", "counts", "least"),
+    [
+        ("midpoint", (8, 16, 32), 1.8),
+        ("implicit-midpoint", (10, 20, 40), 1.9),
+        ("rk3", (6, 12, 24), 2.5),
+        ("rk4", (5, 10, 20), 3.5),
+    ],
 )
-def test_orders_of_the_coupled_system(scheme, least):
+def test_orders_of_the_coupled_system(scheme, counts, least):
     """One viscosity: three step sizes, Stokes solved at every stage, against small steps."""
-    reference = ends("rk4", [64], cells=(29, 32))[0]
-    gap = np.linalg.norm(ends(scheme, (5, 10, 20), cells=(29, 32)) - reference, axis=2).mean(axis=1)
+    reference = ends("rk4", [96], cells=(29, 32))[0]
+    gap = np.linalg.norm(ends(scheme, counts, cells=(29, 32)) - reference, axis=2).mean(axis=1)
     assert (np.log2(gap[:-1] / gap[1:]) > least).all()
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("scheme", "least"),
-    [("midpoint", 1.85), ("implicit-midpoint", 1.85), ("rk3", 2.4), ("rk4", 2.8)],
+    [("midpoint", 1.85), ("implicit-midpoint", 1.85), ("rk3", 1.9), ("rk4", 1.85)],
 )
 def test_orders_on_two_viscosities(scheme, least):
-    """Where the weak rock crosses the cells the fields have kinks, and rk4 loses an order."""
-    two = {"viscosity": (1.4e17, 2.8e19), "marks": (0.0, 0.5 * MYR)}
-    reference = ends("rk4", [96], **two)[0]
-    gap = np.linalg.norm(ends(scheme, (6, 12, 24), **two) - reference, axis=2).mean(axis=1)
+    """Where the weak rock crosses the cells the fields have kinks, and no scheme goes beyond 2.
+
+    Between mesh lines the rock has none: see `test_contacts` for the orders there.
+    """
+    two = {"viscosity": (1.4e17, 2.8e19), "marks": (0.0, 0.25 * MYR)}
+    reference = ends("rk4", [128], **two)[0]
+    gap = np.linalg.norm(ends(scheme, (8, 16, 32), **two) - reference, axis=2).mean(axis=1)
     assert (np.log2(gap[:-1] / gap[1:]) > least).all()
 
 
