@@ -1,6 +1,7 @@
 """The nodes of a fitted mesh on the lines of the rock, and all others, which give way to them."""
 
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 import shapely
@@ -226,10 +227,9 @@ class Contacts:
         for kind, pairs in edges.items():
             surface = kind == "surface"
             rows = [i for i, x in enumerate(self._lines) if (x.kind == "surface") == surface]
-            for nodes in chains(pairs, np.concatenate([on_walls, outcrops]).tolist()):
+            found = chains(pairs, np.concatenate([on_walls, outcrops]).tolist())
+            for row, nodes in (piece for nodes in found for piece in self._by_line(nodes, rows)):
                 x = made[nodes]
-                far = [_distances(self._lines[i].points, x) for i in rows]
-                row = rows[int(np.argmin([d.max() for d in far]))]
                 line = self._lines[row].points
                 at = _nearest(line, x)
                 gap = x - _on(line, at)
@@ -251,6 +251,22 @@ class Contacts:
                     long = np.hypot(*np.diff(made[own], axis=0).T)
                     self.chains.append(Chain(row, own, share, long, ends, surface, even))
                     self._at.append(places)
+
+    def _by_line(self, nodes, rows):
+        """Yield the row of a line and the nodes of a chain that are on it, in their order.
+
+        A contact of a rock with layers of another one is a chain along one line after another.
+        Lines share the nodes at which they meet.
+        """
+        far = np.array([_distances(self._lines[i].points, self._made[nodes]) for i in rows])
+        best = far.max(axis=1).argmin()
+        if len(nodes) < 2 or far[best].max() <= OFF_LINE * np.ptp(self._made[:, 1]):
+            yield rows[best], nodes
+            return
+        edges = np.maximum(far[:, :-1], far[:, 1:]).argmin(axis=0)
+        cuts = np.r_[0, np.flatnonzero(np.diff(edges)) + 1, len(edges)]
+        for begin, end in pairwise(cuts):
+            yield rows[edges[begin]], nodes[begin : end + 1]
 
     def _held(self):
         """Return, by axis, which nodes stand."""

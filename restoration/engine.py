@@ -23,7 +23,7 @@ from restoration.inflow import cast_off, flowed_in, with_ends
 from restoration.lines import begin, most_vertices, refined, surface_of, with_points
 from restoration.mesher import Mesher
 from restoration.particles import OUTSIDE, empty_cells, fill_cells, relocate, seed
-from restoration.plan import active
+from restoration.plan import active, time_label
 from restoration.scene import WALLS, Line, Outline
 from restoration.state import State
 from restoration.step import Step
@@ -307,7 +307,7 @@ class StokesEngine:
         if self.scene.mesh.interfaces != "auto":
             raise error
         self.notes.append(
-            f"from {show(time, 'time')} on particles carry the rock: "
+            f"from {time_label(self.scene, time)} on particles carry the rock: "
             f"{str(error).partition('; let particles')[0]}"
         )
         self.scene = replace(self.scene, mesh=replace(self.scene.mesh, interfaces="particles"))
@@ -403,9 +403,9 @@ class StokesEngine:
             if len(line.points) == most and line.name not in self._folded:
                 self._folded.add(line.name)
                 self.notes.append(
-                    f"from {show(time, 'time')} on {line.kind} {line.name} is followed by no more "
-                    f"than {most} vertices: it is folded finer than the cells tell; finer "
-                    "cells or shorter steps stir it less"
+                    f"from {time_label(self.scene, time)} on {line.kind} {line.name} is followed "
+                    f"by no more than {most} vertices: it is folded finer than the cells tell; "
+                    "finer cells or shorter steps stir it less"
                 )
 
     def _find_rate(self, state):

@@ -57,6 +57,24 @@ def test_areas_by_rock_are_those_between_the_lines(viscosity):
     assert last.particles.lost == 0
 
 
+def test_a_contact_of_several_lines_moves_as_one_of_one():
+    """Salt below layers of one rock: its top is one line below each of them."""
+    whole = diapir_scene(mesh=FITTED)
+    points = whole.lines[0].points
+    parts = ("west", points[:80]), ("middle", points[79:120]), ("east", points[119:])
+    lines = tuple(Line(f"salt / {name}", "horizon", part) for name, part in parts)
+    _, (_, one, _), _ = journey(whole)
+    engine, (_, several, _), _ = journey(replace(whole, lines=lines))
+    joined = np.concatenate([line.points for line in several.lines])
+    area = below(joined)
+    assert (
+        abs(volume_by_rock(engine.scene, several.grid, several.particles)["salt"] / area - 1) < 2e-4
+    )
+    assert abs(area / below(one.lines[0].points) - 1) < 1e-4
+    off = line_distances(one.lines, (replace(one.lines[0], points=joined),))[0]
+    assert off["max_m"] < 20 and off["mean_m"] < 2
+
+
 def test_a_level_contact_stays():
     top = Line("salt / sediment", "horizon", np.array([[0, -4000], [WIDTH, -4000.0]]))
     scene = diapir_scene(
