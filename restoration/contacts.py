@@ -228,7 +228,7 @@ class Contacts:
             surface = kind == "surface"
             rows = [i for i, x in enumerate(self._lines) if (x.kind == "surface") == surface]
             found = chains(pairs, np.concatenate([on_walls, outcrops]).tolist())
-            for row, nodes in (piece for nodes in found for piece in self._by_line(nodes, rows)):
+            for row, nodes in (piece for chain in found for piece in self._by_line(chain, rows)):
                 x = made[nodes]
                 line = self._lines[row].points
                 at = _nearest(line, x)
