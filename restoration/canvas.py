@@ -220,9 +220,13 @@ def time_text(scene, time, before=None):
     """
     size, span, age = time_units(scene)
     from_today = counts_back(scene)
-    text = f"t = {time / size:.2f} {span}"
+    value = f"{abs(time) / size:.2f}"
+    if abs(time) < size and abs(float(value) - abs(time) / size) > 5e-4:
+        value = f"{abs(time) / size:.3f}"  # three figures, where a run stopped between its marks
+    value = f"-{value}" if (time < 0) != from_today and time else value
+    text = f"t = {value} {span}"
     if from_today:
-        text = f"{-time / size:.2f} {age}" if time else "today"
+        text = f"{value} {age}" if time else "today"
     if before is None:
         return text
     if time < before:
