@@ -96,7 +96,7 @@ class _Judge:
         if beyond is None:
             return f"{from_noise}, {_m(mesh[-1])} from the mesh"
         if not len(over):
-            return f"with larger cells the restoration ends there: {self.failure}"
+            return "with larger cells the restoration ends there"
         worst = (noise + mesh).argmax()
         fold = number(noise.max() / self.plan.noise, 2)
         grow = f"{_m(self.plan.noise)} of noise grows to {_m(noise[worst])}"
@@ -308,6 +308,8 @@ def sentences(certificate):
     rows = certificate.get("horizons", []) + certificate.get("rocks", [])
     rows += [certificate["surface"]] if certificate.get("surface") else []
     lines += [f"  {row['verdict']}" for row in rows]
+    if certificate.get("failure") and "horizons" in certificate:
+        lines.append(f"  with larger cells: {certificate['failure']}")
     if certificate.get("new_rock_share", 0) > NOTED:
         lines.append(
             f"  {_percent(certificate['new_rock_share'])} of the restored section flowed in or was "

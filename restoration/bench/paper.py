@@ -48,9 +48,14 @@ class Way:
 
     def entries(self, marks):
         """Return the entries of a case that make it go this way between marks, as text."""
-        given = [f"mesh.cells={self.cells}", f"time.min_steps={self.steps}"]
-        given += [f"time.scheme={self.scheme}", f"time.courant={self.courant}", f"time.marks={marks}"]
-        return [*given, *self.more]
+        time = {
+            "marks": marks,
+            "scheme": self.scheme,
+            "courant": self.courant,
+            "min_steps": self.steps,
+        }
+        given = [f"time.{entry}={value}" for entry, value in time.items()]
+        return [f"mesh.cells={self.cells}", *given, *self.more]
 
 
 @dataclass(frozen=True)
