@@ -89,14 +89,16 @@ def models(quick):
     iso, two = "diapir-isoviscous/case.yaml", "diapir-two-viscosities/case.yaml"
     close, density = ("time.tolerance=2 mm",), "transfer.density=lines"
     lines, follow = (density, "transfer.viscosity=lines"), ("mesh.interfaces=auto",)
-    same, there, back = (24, 24, 32) if quick else (45, 40, 64)
-    more = 0.6 if quick else 1.0  # of the steps
+    same, there, back = (18, 18, 24) if quick else (45, 40, 64)
+    more = 0.4 if quick else 1.0  # of the steps
+    # What comes back most: the iterations of an implicit step do not settle in salt this weak.
+    smooth = ("transfer.density=hat", "particles.velocity=plain")
 
     def steps(number):
         return round(more * number)
 
     reversible = {"mean_m": 0.1, "max_m": 2.0, "horizon_max_m": 1.0}
-    welded = {"mean_m": 5.0, "p99_m": 50.0, "horizon_max_m": 25.0}
+    welded = {} if quick else {"mean_m": 5.0, "p99_m": 50.0, "horizon_max_m": 25.0}
     true = {} if quick else {"mean_m": 3.0, "horizon_mean_m": 1.0}
     yield Model(
         "diapir-isoviscous",
@@ -122,7 +124,7 @@ def models(quick):
         "diapir-two-viscosities",
         two,
         ("0 Myr", "1 Myr"),
-        Way(same, 40, more=close),
+        Way(same, 10, "rk4", 0.5, smooth),
         Way(there, steps(120), "rk4", more=follow),
         Way(back, steps(80), "rk4", more=lines),
         {"same_scheme": welded},
@@ -132,7 +134,7 @@ def models(quick):
         "diapir-two-viscosities-full",
         two,
         ("0 Myr", "1.5 Myr"),
-        Way(same, 60, more=close),
+        Way(same, 10, "rk4", 0.5, smooth),
         Way(there, steps(160), "rk4", more=follow),
         Way(back, steps(120), "rk4", more=lines),
         {"same_scheme": welded},
@@ -140,7 +142,7 @@ def models(quick):
     )
     ends = ("0.2 Ma", "77.2 ka", "1.11 Ma", "8 Ma", "3.09 Ma")
     for number, end in enumerate(ends, start=1):
-        cells, other = (16, 20) if quick else (36, 45)
+        cells, other = (12, 15) if quick else (30, 36)
         yield Model(
             f"salt-diapir-{number}",
             f"salt-diapir/exp{number}.yaml",
