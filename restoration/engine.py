@@ -384,7 +384,8 @@ class StokesEngine:
             self.fallen, self.surface_shift = self.fallen + fallen, self.surface_shift + shift
         particles = replace(state.particles, x=moved["particles"])
         if not self.open:
-            lines, shift = kept(state.lines, lines, self.scene.outline, self.scene.free)
+            of_rocks = self.mesher.contacts
+            lines, shift = kept(state.lines, lines, self.scene.outline, self.scene.free, of_rocks)
             self.horizon_shift += shift
         with self.timed("advect"):
             particles = self._through_walls(particles, lines, moved)

@@ -71,6 +71,6 @@ def test_demo_comes_back(tmp_path):
     if record["surface_relief_m"] is None:
         assert abs(record["area_change"]) < 1e-6
     assert all(abs(change) < 1e-3 for change in record["volume_by_rock_change"].values())
-    # as the fields see it at 6 Myr; below the horizon it is 1.3e-4 (docs/accuracy.md)
-    assert all(abs(change) < 4e-3 for change in record["volume_by_rock_largest_change"].values())
+    # as the fields see it on the way; below the horizon it is rounding (docs/accuracy.md)
+    assert all(abs(change) < 1e-3 for change in record["volume_by_rock_largest_change"].values())
     assert record["factorisations"] == 1

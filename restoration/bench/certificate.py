@@ -177,9 +177,7 @@ def _actual(scene, particles):
     def mean(some):
         return float(np.average(distance[some], weights=particles.area[some]))
 
-    by_rock = {
-        scene.rocks[row].name: mean(there & (rock == row)) for row in np.unique(rock[there])
-    }
+    by_rock = {scene.rocks[row].name: mean(there & (rock == row)) for row in np.unique(rock[there])}
     return mean(there), by_rock
 
 

@@ -76,3 +76,44 @@ def test_what_ends_inside_or_is_no_horizon_is_left_alone():
     assert shift == 0
     assert np.array_equal(lines[0].points, after[:50])
     assert np.array_equal(lines[1].points, after)
+
+
+@pytest.mark.parametrize("ways", [(1, 1, 1), (1, -1, 1), (-1, -1, -1)])
+def test_contacts_that_meet_end_to_end_count_as_one(ways):
+    rng = np.random.default_rng(2)
+    before = wavy()
+    after = before + rng.normal(size=before.shape) * [0, 1.0] + [0, 0.5]
+    cuts = [(0, 31), (30, 71), (70, 100)]
+
+    def pieces(points):
+        parts = [line(points[a:b][::w], "salt / b") for (a, b), w in zip(cuts, ways, strict=True)]
+        return (*parts, line([points[30], [400, -50], [450, 0]], "a / b"))
+
+    found, shift = kept(pieces(before), pieces(after), FRAME, False, {"salt / b"})
+    parts = [x.points[::w] for x, w in zip(found, ways, strict=False)]
+    assert np.array_equal(parts[0][-1], parts[1][0])
+    assert np.array_equal(parts[1][-1], parts[2][0])
+    assert np.array_equal(found[3].points[0], parts[1][0])  # what ended there still does
+    whole = np.concatenate([parts[0], parts[1][1:], parts[2][1:]])
+    base = [[1000, -600], [0, -500]]
+    assert area(whole, base) == pytest.approx(area(before, base), rel=1e-12)
+    assert shift > 0.1
+    apart, none = kept(pieces(before), pieces(after), FRAME, False)
+    assert none == 0
+    assert np.array_equal(apart[0].points, pieces(after)[0].points)
+
+
+def test_contacts_that_go_round_keep_what_they_enclose():
+    angle = np.linspace(0, 2 * np.pi, 81)
+    ring = np.column_stack([500 + 100 * np.cos(angle), -300 + 80 * np.sin(angle)])
+    ring[-1] = ring[0]
+
+    def halves(points):
+        return line(points[:41], "salt / a"), line(points[40:], "salt / b")
+
+    moved = (ring - [500, -300]) * 1.01 + [520, -290]
+    names = {"salt / a", "salt / b"}
+    (one, two), _ = kept(halves(ring), halves(moved), FRAME, False, names)
+    whole = np.concatenate([one.points, two.points[1:]])
+    assert np.array_equal(whole[0], whole[-1])
+    assert area(whole) == pytest.approx(area(ring), rel=1e-12)
