@@ -140,16 +140,16 @@ def models(quick):
         {"same_scheme": welded},
         {"mean_m": 201, "max_m": 4947, "horizon_max_m": 125},
     )
-    ends = ("0.2 Ma", "77.2 ka", "1.11 Ma", "8 Ma", "3.09 Ma")
+    ends = ("45 ka", "17.4 ka", "170 ka", "2.7 Ma", "1.04 Ma")  # the last: the salt is flat before
     for number, end in enumerate(ends, start=1):
         cells, other = (12, 15) if quick else (30, 36)
         yield Model(
             f"salt-diapir-{number}",
             f"salt-diapir/exp{number}.yaml",
             ("0 Ma", end),
-            Way(cells, 20, "rk4", 0.5),
-            Way(cells, 20, "rk3", 0.5, ("mesh.interfaces=particles",)),
-            Way(other, 20, "rk4", 0.5),
+            Way(cells, 60, "rk4"),
+            Way(cells, 60, "rk3", more=("mesh.interfaces=particles",)),
+            Way(other, 70, "rk4"),
             {},
             {},
             drawn=True,

@@ -70,9 +70,9 @@ def test_plain_values():
     ],
 )
 def test_what_is_no_tree(text, message):
-    begin = time.perf_counter()
+    begin = time.process_time()
     assert message in refused(text)
-    assert time.perf_counter() - begin < 2
+    assert time.process_time() - begin < 2
 
 
 @pytest.mark.parametrize(
