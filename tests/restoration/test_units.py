@@ -104,12 +104,12 @@ def test_whatever_is_written_is_read_or_refused_quickly():
     read, messages = 0, []
     for _ in range(5000):
         text = "".join(rng.choice(parts) for _ in range(rng.randint(0, 9)))
-        begin = time.perf_counter()
+        begin = time.process_time()
         try:
             read += math.isfinite(to_si(text, rng.choice(list(UNITS)))) or 1 / 0
         except ValueError as error:
             messages.append(str(error))
-        assert time.perf_counter() - begin < 0.05
+        assert time.process_time() - begin < 0.05
     assert read > 5
     assert all(message.isprintable() for message in messages)
 
