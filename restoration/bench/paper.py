@@ -25,6 +25,7 @@ from restoration.welds import welds
 
 CASES = Path(__file__).parents[2] / "cases"
 SOURCE = "Schuh-Senlis et al. (2020), sect. 4"
+AXIS = "0, 1: one viscosity; 2, 3: two; 4 to 8: drawn; 9: graben"  # models in their order
 LONG = 1000  # Courant number that leaves the steps to `min_steps`
 
 
@@ -306,7 +307,8 @@ def graben_rows(quick):
             "horizon_max_m": max(line["max_m"] for line in lines),
         }
         bounds = {"horizon_mean_m": graben.MEAN, "horizon_max_m": graben.MOST}
-        paper = {"horizon_mean_m": max(graben.PAPER_MEAN), "horizon_max_m": max(graben.PAPER_MAX)}
+        means, most = graben.PAPER_MEAN[:-1], graben.PAPER_MAX[:-1]  # the last is the surface
+        paper = {"horizon_mean_m": max(means), "horizon_max_m": max(most)}
         for metric, value in found.items():
             yield Row(
                 "paper",
@@ -342,13 +344,13 @@ def panels(rows):
             "",
         )
         title = "particles, mean" if metric == "mean_m" else "horizons, greatest"
-        found.append((title, "model, in the order of the table", "m", ("linear", "log"), series))
+        found.append((title, AXIS, "m", ("linear", "log"), series))
     spread = [row for row in rows if "log10_m" in row.parameters and row.case.startswith("diapir")]
     for kind in ("same_scheme", "independent"):
         series = {
             row.case.removeprefix("diapir-"): (
                 row.parameters["log10_m"],
-                np.maximum(row.parameters["share"], 1e-6),
+                np.where(np.array(row.parameters["share"]) > 0, row.parameters["share"], np.nan),
                 "-",
             )
             for row in spread
