@@ -61,7 +61,7 @@ def test_demo_comes_back(tmp_path):
     """The demo as `make demo` runs it, against the figures of the paper (its sect. 4.1)."""
     begin = time.process_time()  # of this process: other work on the machine does not count
     record = run("cases/diapir-isoviscous/case.yaml", tmp_path / "run")
-    assert time.process_time() - begin < 120
+    assert time.process_time() - begin < 240  # the certificate is up to half of it
     assert 8000 < record["cells"] < 9500
     assert 55_000 < record["particles"] < 66_000
     assert record["particles_lost"] == 0
