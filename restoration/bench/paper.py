@@ -90,8 +90,8 @@ def models(quick):
     iso, two = "diapir-isoviscous/case.yaml", "diapir-two-viscosities/case.yaml"
     close, density = ("time.tolerance=2 mm",), "transfer.density=lines"
     lines, follow = (density, "transfer.viscosity=lines"), ("mesh.interfaces=auto",)
-    same, there, back = (18, 18, 24) if quick else (45, 40, 64)
-    more = 0.4 if quick else 1.0  # of the steps
+    same, there, back = (16, 18, 22) if quick else (45, 40, 64)
+    more = 0.3 if quick else 1.0  # of the steps
     # What comes back most: the iterations of an implicit step do not settle in salt this weak.
     smooth = ("transfer.density=hat", "particles.velocity=plain")
 
@@ -143,7 +143,7 @@ def models(quick):
     )
     ends = ("45 ka", "17.4 ka", "170 ka", "2.7 Ma", "1.04 Ma")  # the last: the salt is flat before
     for number, end in enumerate(ends, start=1):
-        cells, other, count = (12, 15, 30) if quick else (30, 36, 60)
+        cells, other, count = (12, 15, 24) if quick else (30, 36, 60)
         yield Model(
             f"salt-diapir-{number}",
             f"salt-diapir/exp{number}.yaml",
@@ -294,7 +294,7 @@ def _histogram(distance):
 
 def graben_rows(quick):
     """Yield the rows of the graben (sect. 4.3), whose horizons count and not its surface."""
-    there, back = (([24, 8], 10), ([27, 9], 9)) if quick else graben.WAYS[False]
+    there, back = (([24, 8], 7), ([27, 9], 6)) if quick else graben.WAYS[False]
     for kind, way in (("same_scheme", there), ("independent", back)):
         forward = graben.scene(*there, graben.FORWARD)
         backward = graben.scene(*way, graben.BACKWARD)
