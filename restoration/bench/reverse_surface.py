@@ -390,6 +390,7 @@ def _drawn(name, age, surface, cells):
             "time.scheme=midpoint",
             "time.courant=1",
             f"time.marks=[0 Ma, {age}, 0 Ma]",
+            "time.stop=null",
         ],
     ).scene
     engine, ages, reliefs, marks = StokesEngine(case), [], [], []
