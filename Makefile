@@ -5,7 +5,7 @@ DEMO = cases/diapir-isoviscous/case.yaml
 
 help:
 	@echo "make demo   set up, run the demo case, say where the pictures are"
-	@echo "make test   set up, run all tests; choose with ARGS, such as ARGS='-m \"not slow\"'"
+	@echo "make test   set up, run all tests on all cores; choose with ARGS, such as ARGS='-m \"not slow\"'"
 	@echo "make setup  set up: Debian packages, .venv"
 	@echo "make lint   set up, check the style"
 	@echo "make clean  remove .venv, caches and built files; runs/ stays"
@@ -17,7 +17,7 @@ demo: setup
 	.venv/bin/restore run $(DEMO) --fresh
 
 test: setup
-	$(PYTHON) -m pytest $(ARGS)
+	$(PYTHON) -m pytest -n auto --dist worksteal $(ARGS)
 
 lint: setup
 	$(PYTHON) -m ruff check .
