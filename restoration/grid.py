@@ -79,6 +79,7 @@ class Grid:
             counts,
             self.top,
             self.fields.on_facets,
+            scene.one_viscosity or regions is not None,
         )
         self.sampler = velocity_sampler(self.spaces, scene.particles.velocity)
         self.contacts = None if regions is None else self._contacts(scene, lines)

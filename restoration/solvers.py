@@ -28,6 +28,12 @@ SMALL_WORKSPACE = (-8, -9)
 OUT_OF_MEMORY = -13
 PREFIX = "stokes_"
 
+# What a factorisation costs in solves with its factors, on 20 000 unknowns, and how that grows.
+FACTOR_COST, FACTOR_GROWTH = 7.0, 0.13
+REUSE_RTOL = 1e-10  # of a solution by old factors: its error over its size, about
+REUSE_RTOL_TIGHT = 1e-12  # where that leaves a residual
+MOST_REUSE_FAILURES = 4  # doublings of the solves until old factors are tried again
+
 DIRECT = {
     "ksp_type": "preonly",
     "pc_type": "cholesky",
@@ -82,7 +88,12 @@ def choose_solver(plan, dim, unknowns):
 
 
 class DirectSolver:
-    """Factorises by MUMPS, and keeps the factors until the values of the matrix change.
+    """Factorises by MUMPS, and keeps the factors as long as they are worth it.
+
+    Factors of a matrix that has changed since precondition GMRES; where that asks for as many
+    solves with them as a factorisation costs, or goes on growing above the mean of the last ones,
+    the matrix is factorised. The residual is preconditioned from the left, so that it is the
+    error, and what ends the iteration is that, whatever the contrast of the viscosity.
 
     Args:
         A: matrix, assembled by `update`.
@@ -100,26 +111,92 @@ class DirectSolver:
         ordering = max(size for size in ORDERING if size <= unknowns)
         self.options.setdefault("mat_mumps_icntl_7", ORDERING[ordering])
         self.factorisations, self.iterations, self.vcycles = 0, 0, 0
-        self._workspace, self._changed = 0, False
-        self.ksp = None
+        self.cost = FACTOR_COST * max(1.0, unknowns / 20_000) ** FACTOR_GROWTH
+        self._workspace, self._changed, self._stale = 0, False, False
+        self._spent, self._solves, self._last = 0.0, 1, 0.0  # in solves, since factorised
+        self._failures, self._waits = 0, 0
+        self.ksp = self._krylov = None
 
-    def update(self):
-        """Factorise the matrix as it is now at the next solve; the analysis is kept."""
+    def update(self, keep=False):
+        """Take the matrix as it is now: factorise it at the next solve; the analysis is kept.
+
+        Args:
+            keep: whether it is so near the one before that its factors may still do.
+        """
         if self.ksp is None:
             self._make()
+            self._changed = True
+        elif keep and not self._changed:
+            self._stale = True
         else:
-            self.ksp.setOperators(self.A)
-        self._changed = True
+            self.refactor()
 
-    def solve(self, b, x):
+    def refactor(self):
+        """Let the matrix be factorised at the next solve."""
+        self.ksp.setOperators(self.A)
+        self._changed, self._stale = True, False
+
+    @property
+    def stale(self):
+        """Whether the last solve was by factors of another matrix."""
+        return self._stale
+
+    def solve(self, b, x, guess=False, rtol=REUSE_RTOL):
         """Solve in place.
+
+        Args:
+            b: right-hand side.
+            x: solution; what it holds is where an iteration begins if that is a ``guess``.
+            guess: see x.
+            rtol: error over size at which an iteration with old factors ends.
 
         Raises:
             TooLargeError: the factors do not fit into memory.
             SolveError: MUMPS or PETSc report a failure.
         """
+        if self._stale and not self._iterate(b, x, guess, rtol):
+            self.refactor()
+        if not self._stale:
+            self._solve_directly(b, x)
+
+    def _iterate(self, b, x, guess, rtol):
+        """Solve with old factors; return whether that was worth it."""
+        if self._waits > 0:
+            self._waits -= 1
+            return False
+        if self._last > self._spent / self._solves:
+            return False
+        if self._krylov is None:
+            self._krylov = _new_ksp(self.A.comm, f"{PREFIX}reuse_", {"ksp_type": "gmres"})
+            self._krylov.setPCSide(PETSc.PC.Side.LEFT)
+            self._krylov.getPC().setType("python")
+            self._krylov.getPC().setPythonContext(self)
+            self._krylov.setInitialGuessNonzero(True)
+            self._krylov.setOperators(self.A)
+        if not guess:
+            self.apply(None, b, x)
+        krylov, most = self._krylov, int(1.5 * self.cost)
+        krylov.setTolerances(rtol=1e-50, atol=rtol * x.norm(), max_it=most)
+        krylov.solve(b, x)
+        count = krylov.getIterationNumber()
+        self.iterations += count
+        self._last = count + 1.0
+        if krylov.getConvergedReason() <= 0:
+            self._failures = min(self._failures + 1, MOST_REUSE_FAILURES)
+            self._waits = 2**self._failures
+            return False
+        self._spent, self._solves, self._failures = self._spent + self._last, self._solves + 1, 0
+        return True
+
+    def apply(self, _pc, b, x):
+        """Solve with the factors there are, of whatever matrix; PETSc calls this."""
+        self.ksp.getPC().getFactorMatrix().solve(b, x)
+
+    def _solve_directly(self, b, x):
         while True:
             self.factorisations += self._changed
+            if self._changed:
+                self._spent, self._solves, self._last = self.cost, 1, 0.0
             self.ksp.solve(b, x)
             self._changed = False
             infog = _infog(self.ksp)
@@ -143,8 +220,10 @@ class DirectSolver:
 
     def release(self):
         """Give the memory of the factors back."""
-        if self.ksp is not None:
-            self.ksp.destroy()
+        for ksp in (self.ksp, self._krylov):
+            if ksp is not None:
+                ksp.destroy()
+        self._krylov = None
 
     def _make(self):
         self.release()
@@ -188,8 +267,12 @@ class FieldsplitSolver:
         self.A_uu = self.A_up = self.coarse = None
         self.ru = self.zu = self.rp = self.zp = None
 
-    def update(self):
-        """Set up anew: the values of the matrix and of the viscosity have changed."""
+    def update(self, keep=False):
+        """Set up anew: the values of the matrix and of the viscosity have changed.
+
+        Args:
+            keep: see `DirectSolver.update`; the blocks are set up in any case.
+        """
         self.blocks.assemble()
         u, p = self.blocks.velocity, self.blocks.pressure
         self.A_uu = _extract(self.A, u, u, self.A_uu)
@@ -232,8 +315,13 @@ class FieldsplitSolver:
         pc.getMGCoarseSolve().setOperators(self.coarse)
         pc.getMGSmoother(1).setOperators(self.A_uu)
 
-    def solve(self, b, x):
-        """Solve in place, from zero.
+    stale = False  # its blocks are always those of the matrix, and its tolerance that of PETSc
+
+    def solve(self, b, x, guess=False, rtol=None):
+        """Solve in place.
+
+        Args:
+            b, x, guess, rtol: see `DirectSolver.solve`.
 
         FGMRES starts again while the true residual is above the tolerance and above what
         rounding allows.
@@ -243,7 +331,8 @@ class FieldsplitSolver:
         """
         r, diagonal = b.duplicate(), self.A.getDiagonal()
         scale = b.norm() or 1.0
-        x.set(0)
+        if not guess:
+            x.set(0)
         for _ in range(RESTARTS):
             self.ksp.solve(b, x)
             self.iterations += self.ksp.getIterationNumber()

@@ -1,6 +1,7 @@
 """The Stokes problem of a section: assembly, and a solve that is checked."""
 
 from dataclasses import dataclass
+from math import isclose, prod
 
 import numpy as np
 import ufl
@@ -10,6 +11,7 @@ from petsc4py import PETSc
 
 from forms.stokes import gravity_load, schur_mass, source_load, stokes_form
 from forms.surface import column_weight, stabilisation
+from restoration.assembly import assembler
 from restoration.blocks import Blocks
 from restoration.boundary import (
     WallValues,
@@ -22,6 +24,8 @@ from restoration.boundary import (
 from restoration.errors import SolveError
 from restoration.solvers import (
     MANY_ITERATIONS,
+    REUSE_RTOL,
+    REUSE_RTOL_TIGHT,
     DirectSolver,
     FieldsplitSolver,
     choose_solver,
@@ -33,6 +37,8 @@ RESIDUAL = 1e-8
 # up to this residual the velocity was still right to a hundredth (`restore bench falling-block`).
 RESIDUAL_BY_ROUNDING = 1e-2
 ROUNDINGS = 100  # in the sum of a row
+REMEMBERED = 3  # solutions through which a polynomial in time leads to the next
+FURTHEST = 1.5  # of the time between the first and the last of them, that it is followed
 
 
 @dataclass
@@ -63,6 +69,59 @@ class Flow:
     residual: float
 
 
+def same_time(one, two):
+    """Return whether two model times, s, are the same but for rounding; None is no time."""
+    return None not in (one, two) and isclose(one, two, rel_tol=1e-12, abs_tol=1.0)
+
+
+class Past:
+    """The last solutions, of different times: where the next solve may begin.
+
+    Args:
+        x: vector like them.
+    """
+
+    def __init__(self, x):
+        self._kept, self._free = {}, [x.duplicate() for _ in range(REMEMBERED)]
+
+    def guess(self, time, x):
+        """Write what the solution may be at a time to x; return whether there is anything.
+
+        It is the polynomial through the last solutions.
+        """
+        if not self._kept or time is None:
+            return False
+        times = list(self._kept)
+        self._kept[times[-1]].copy(x)
+        span = abs(times[-1] - times[0])
+        if same_time(time, times[-1]) or abs(time - times[-1]) > FURTHEST * span:
+            return True
+        x.set(0)
+        for one, solution in self._kept.items():
+            others = [other for other in times if other != one]
+            x.axpy(prod((time - other) / (one - other) for other in others), solution)
+        return True
+
+    def keep(self, time, x):
+        """Keep the solution of a time, in place of an earlier one of that time."""
+        if time is None:
+            return
+        for earlier in self._kept:
+            if same_time(time, earlier):
+                time = earlier
+        held = self._kept.pop(time, None)
+        if held is None:
+            held = self._free.pop() if self._free else self._kept.pop(next(iter(self._kept)))
+        x.copy(held)
+        self._kept[time] = held
+
+    def release(self):
+        """Give the memory back."""
+        for held in [*self._kept.values(), *self._free]:
+            held.destroy()
+        self._kept, self._free = {}, []
+
+
 class StokesProblem:
     """Stokes flow of one mesh, solved for one density and viscosity after another.
 
@@ -78,12 +137,13 @@ class StokesProblem:
         walls: `scene.Wall` by name.
         gravity: downwards, m/s^2.
         closed: whether the normal velocity is held on every wall.
-        steady: whether the viscosity never changes, so that one factorisation serves.
+        steady: whether the matrix never changes, so that one factorisation serves.
         solver: `solvers.SolverPlan`; None for the default.
         counts: `Counts` to go on with; None begins anew.
         top: `surface.Top` of a free surface whose weight when moved may count, else None.
         on_facets: density and viscosity as integrals over facets read them; None where those are
             ``rho`` and ``eta``.
+        follows: whether the mesh moves with the viscosity, so that the matrix changes slowly.
 
     Attributes:
         counts: what was done so far.
@@ -105,8 +165,10 @@ class StokesProblem:
         counts=None,
         top=None,
         on_facets=None,
+        follows=False,
     ):
         self.spaces, self.section, self.eta0, self.steady = spaces, section, eta0, steady
+        self._follows = follows
         self.closed, self.top = closed, top
         self.counts = counts or Counts()
         self._comm = section.mesh.comm
@@ -129,12 +191,14 @@ class StokesProblem:
         if closed and name == "direct":
             self.bcs = [*self.bcs, pressure_pin(spaces)]
         self._make_forms(rho, eta, on_facets or (rho, eta), walls, gravity)
-        self.A = fem.petsc.create_matrix(self.a)
+        self.A = self._assembler.A
         self.b = fem.petsc.create_vector(self.load)
         self.x, self.r = self.b.duplicate(), self.b.duplicate()
         self._null_space = None
         self.solver, self._seen = self._make_solver(name, eta), (0, 0)
         self._assembled = False
+        self._time = self._factor_time = None
+        self._past = Past(self.x)
         top = spaces.ds(section.wall_tags["surface"])
         self._p = fem.Function(spaces.Q)
         self._surface_pressure = fem.form(self._p * top)
@@ -183,9 +247,8 @@ class StokesProblem:
         spaces, section = self.spaces, self.section
         facet_rho, facet_eta = on_facets
         trial, test = ufl.TrialFunctions(spaces.W), ufl.TestFunctions(spaces.W)
-        a = stokes_form(*trial, *test, eta, self._length, spaces.dx)
-        slip = wall_form(trial, test, facet_eta, self._length, walls, section, spaces)
-        a = a if slip is None else a + slip
+        cells = stokes_form(*trial, *test, eta, self._length, spaces.dx)
+        facets = wall_form(trial, test, facet_eta, self._length, walls, section, spaces)
         down = np.zeros(section.dim)
         down[-1] = -gravity / self.eta0
         down = fem.Constant(section.mesh, down)
@@ -197,19 +260,24 @@ class StokesProblem:
             self.column = fem.Function(spaces.H)
             top = self.top
             weight = lambda u: stabilisation(u, test[0], facet_rho, down, top.n)  # noqa: E731
-            a += self._lead * top.over(weight(trial[0]))
+            lifted = self._lead * top.over(weight(trial[0]))
+            facets = lifted if facets is None else facets + lifted
             load += self._lead * top.over(weight(self._before))
             on_top = column_weight(test[0], facet_rho, down, top.n, self.column)
             self._column_load = fem.form(top.over(on_top))
         load += source_load(test[1], self._leak, self._length, spaces.dx)
         push = wall_load(test[0], self.eta0, walls, section, spaces, self._wall_values)
-        self.a, self.load = fem.form(a), fem.form(load if push is None else load + push)
+        self.load = fem.form(load if push is None else load + push)
+        self.a = fem.form(cells if facets is None else cells + facets)
+        parts = (self.a, None) if facets is None else (fem.form(cells), fem.form(facets))
+        self._assembler = assembler(self.a, *parts, spaces.W, section.mesh)
 
     def set_time(self, time):
         """Set what the walls prescribe for a model time, s, and for the mesh as it stands now.
 
         Nothing is done where all walls are held by numbers.
         """
+        self._time = time
         if self._wall_values:
             self._wall_values.update(time)
             if self.closed:
@@ -246,6 +314,8 @@ class StokesProblem:
         for condition in self.bcs:  # what is held stays so
             dofs, owned = condition.dof_indices()
             self.b.array_w[dofs[:owned]] = 0
+        if self.solver.stale:  # there are many of these
+            self.solver.refactor()
         self._solve(self.b, self.x)
         self.counts.responses += 1
         with self.x.localForm() as local:
@@ -291,6 +361,7 @@ class StokesProblem:
         self.solver.release()
         for held in (self.A, self.b, self.x, self.r):
             held.destroy()
+        self._past.release()
 
     def _find_leak(self):
         """Spread over the section what the walls let out.
@@ -304,11 +375,10 @@ class StokesProblem:
         self._leak.value = self.leak / self.section.area
 
     def _assemble_matrix(self):
-        self.A.zeroEntries()
-        fem.petsc.assemble_matrix(self.A, self.a, self.bcs)
-        self.A.assemble()
+        self._assembler.assemble(self.bcs)
         try:
-            self.solver.update()
+            # At one time the rock moves by what the stages of a step differ in, and no further.
+            self.solver.update(keep=self._follows or same_time(self._time, self._factor_time))
         except PETSc.Error as error:
             raise SolveError(_refused(error)) from None
         self._assembled = True
@@ -316,8 +386,9 @@ class StokesProblem:
     def _checked_solve(self):
         """Solve in place and return the true relative residual; raise unless it is small."""
         before = self.solver.iterations
+        guess = self._past.guess(self._time, self.x)
         try:
-            self._solve(self.b, self.x)
+            self._solve(self.b, self.x, guess)
             slow = self._may_fall_back and self.solver.iterations - before > MANY_ITERATIONS
         except SolveError:
             if not self._may_fall_back:
@@ -328,6 +399,13 @@ class StokesProblem:
             self._solve(self.b, self.x)
         scale = self.b.norm() or 1.0
         residual = self._residual() / scale
+        if self.solver.stale and not residual <= RESIDUAL:
+            self._solve(self.b, self.x, True, REUSE_RTOL_TIGHT)
+            residual = self._residual() / scale
+        if self.solver.stale and not residual <= RESIDUAL:
+            self.solver.refactor()
+            self._solve(self.b, self.x)
+            residual = self._residual() / scale
         allowed = RESIDUAL
         for _ in range(3):
             if residual <= RESIDUAL or not np.isfinite(residual):
@@ -342,17 +420,20 @@ class StokesProblem:
                 f"the Stokes solve is not accurate: relative residual {residual:.1e}, allowed "
                 f"{allowed:.0e}; the viscosity contrast may be too high"
             )
+        self._past.keep(self._time, self.x)
         return residual
 
-    def _solve(self, b, x):
+    def _solve(self, b, x, guess=False, rtol=REUSE_RTOL):
         """Solve in place, and count what that and the update before it took."""
         before = self._seen
         try:
-            self.solver.solve(b, x)
+            self.solver.solve(b, x, guess, rtol)
         except PETSc.Error as error:
             raise SolveError(_refused(error)) from None
         finally:
             self._seen = self.solver.factorisations, self.solver.iterations
+            if self._seen[0] > before[0]:
+                self._factor_time = self._time
             self.counts.factorisations += self._seen[0] - before[0]
             self.counts.krylov_iterations += self._seen[1] - before[1]
 

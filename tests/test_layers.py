@@ -52,6 +52,7 @@ ORDER = {
         "sampling",
         "conservative",
         "boundary",
+        "assembly",
         "blocks",
         "solvers",
         "stokes",
