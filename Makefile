@@ -7,6 +7,7 @@ help:
 	@echo "make demo   set up, run the demo case, say where the pictures are"
 	@echo "make test   set up, run all tests on all cores; choose with ARGS, such as ARGS='-m \"not slow\"'"
 	@echo "make setup  set up: Debian packages, .venv"
+	@echo "make profile  set up, say where a diapir and a graben spend their time"
 	@echo "make lint   set up, check the style"
 	@echo "make clean  remove .venv, caches and built files; runs/ stays"
 
@@ -19,6 +20,9 @@ demo: setup
 test: setup
 	$(PYTHON) -m pytest -n auto --dist worksteal $(ARGS)
 
+profile: setup
+	$(PYTHON) docs/performance.py profile
+
 lint: setup
 	$(PYTHON) -m ruff check .
 	$(PYTHON) -m ruff format --check .
@@ -27,4 +31,4 @@ clean:
 	rm -rf .venv build *.egg-info .pytest_cache .ruff_cache
 	find . -name __pycache__ -prune -exec rm -rf {} +
 
-.PHONY: help setup demo test lint clean
+.PHONY: help setup demo test profile lint clean

@@ -102,18 +102,8 @@ class ConservativeSampler:
             u: velocity, shape (nodes, 2), m/s.
         """
         x = self._x
-        cells = x[self._cells]
         u, swell, centre = self._closed(u, x)
-        values = np.empty((len(cells), 10, 2))
-        values[:, :CENTRE] = u[self.nodes]
-        places = _places(cells) - centre
-        known = values[:, :CENTRE] - swell * places[:, :CENTRE]
-        one, two = cells[:, None, 1] - cells[:, None, 0], cells[:, None, 2] - cells[:, None, 0]
-        straight = np.stack([_cross(known, two), _cross(one, known)], axis=2)
-        inside = (straight.reshape(-1, 12) @ INSIDE.T).reshape(-1, 4, 2)
-        inside = (inside[..., :1] * one + inside[..., 1:] * two) / _cross(one, two)[..., None]
-        values[:, CENTRE:] = inside + swell * places[:, CENTRE:]
-        return values
+        return _values_in_cells(u, x, self.nodes, self._cells, swell, centre, INSIDE)
 
     def _closed(self, u, x):
         """Return a velocity whose fluxes through edges close, but for an even swelling.
@@ -121,23 +111,19 @@ class ConservativeSampler:
         Returns:
             The velocity (nodes, 2), half the divergence of the swelling, 1/s, and its centre.
         """
-        a, b = x[self._a], x[self._b]
-        normal = np.column_stack([(b - a)[:, 1], (a - b)[:, 0]])  # outwards on walls
-        middle, centre = (a + b) / 2, x.mean(axis=0)
-        sums = u[self._node[self._a]] + 4 * u[self._middles] + u[self._node[self._b]]
-        flux = (sums * normal).sum(axis=1) / 6
+        centre = x.mean(axis=0)
+        flux, lever = _fluxes(u, x, self._a, self._b, self._node, self._middles, centre)
         rim = self._rim
-        area = _cross(a[rim] - centre, b[rim] - centre).sum() / 2
+        area = _cross(x[self._a[rim]] - centre, x[self._b[rim]] - centre).sum() / 2
         swell = flux[rim].sum() / area / 2
-        flux -= swell * ((middle - centre) * normal).sum(axis=1)
+        flux -= swell * lever
         stream = np.zeros(len(x))
         stream[self._a[rim]] = np.r_[0, np.cumsum(flux[rim])[:-1]]
         left = flux[self._inner] - self._step_rim @ stream[self._a[rim]]
         stream[self._inside] = self._solve(self._weighted @ left)
-        excess = stream[self._b] - stream[self._a] - flux
-        excess[rim] = 0.0
+        flux[rim] = stream[self._b[rim]] - stream[self._a[rim]]
         u = u.copy()
-        u[self._middles] += (1.5 * excess / (normal**2).sum(axis=1))[:, None] * normal
+        _correct(u, x, self._a, self._b, self._middles, stream, flux)
         return u, swell, centre
 
     def __call__(self, coefficients, cell, hats):
@@ -165,13 +151,6 @@ def _loop(a, b, rim):
 def _cross(one, two):
     """Return the cross products of vectors."""
     return one[..., 0] * two[..., 1] - one[..., 1] * two[..., 0]
-
-
-def _places(corners):
-    """Return where the nodes of triangles are, shape (cells, 10, 2)."""
-    centre = corners.mean(axis=1, keepdims=True)
-    middles = (np.roll(corners, -1, axis=1) + np.roll(corners, -2, axis=1)) / 2
-    return np.concatenate([corners, middles, centre, (corners + centre) / 2], axis=1)
 
 
 def _part(k):
@@ -209,12 +188,39 @@ def _inside():
 INSIDE = _inside()
 
 
-@numba.njit(cache=True)
+@numba.njit(parallel=True, cache=True)
+def _fluxes(u, x, a, b, node, middles, centre):
+    """Return the fluxes of a velocity through the edges, and of places seen from a centre."""
+    flux, lever = np.empty(len(a)), np.empty(len(a))
+    for e in numba.prange(len(a)):
+        i, j = a[e], b[e]
+        nx, nz = x[j, 1] - x[i, 1], x[i, 0] - x[j, 0]  # outwards on walls
+        first, middle, last = u[node[i]], u[middles[e]], u[node[j]]
+        sum_x = first[0] + 4 * middle[0] + last[0]
+        sum_z = first[1] + 4 * middle[1] + last[1]
+        flux[e] = (sum_x * nx + sum_z * nz) / 6
+        away_x, away_z = (x[i, 0] + x[j, 0]) / 2 - centre[0], (x[i, 1] + x[j, 1]) / 2 - centre[1]
+        lever[e] = away_x * nx + away_z * nz
+    return flux, lever
+
+
+@numba.njit(parallel=True, cache=True)
+def _correct(u, x, a, b, middles, stream, flux):
+    """Correct the normal velocity at the middles of edges to the fluxes of a stream function."""
+    for e in numba.prange(len(a)):
+        nx, nz = x[b[e], 1] - x[a[e], 1], x[a[e], 0] - x[b[e], 0]
+        more = 1.5 * (stream[b[e]] - stream[a[e]] - flux[e]) / (nx * nx + nz * nz)
+        u[middles[e], 0] += more * nx
+        u[middles[e], 1] += more * nz
+
+
+@numba.njit(parallel=True, cache=True)
 def _split_quadratic(values, cell, hats):
-    u = np.zeros((len(cell), 2))
-    for n in range(len(cell)):
+    u = np.empty((len(cell), 2))
+    for n in numba.prange(len(cell)):
         c = cell[n]
         if c < 0:
+            u[n] = 0.0
             continue
         k = 0
         if hats[n, 1] < hats[n, k]:
@@ -234,3 +240,44 @@ def _split_quadratic(values, cell, hats):
                 + 4 * two * centre * values[c, 7 + j, d]
             )
     return u
+
+
+@numba.njit(parallel=True, cache=True)
+def _values_in_cells(u, x, nodes, cells, swell, centre, inside):
+    """Return the values at the nodes of the split cells, see `ConservativeSampler.coefficients`."""
+    values = np.empty((len(cells), 10, 2))
+    for c in numba.prange(len(cells)):
+        places, straight = np.empty((10, 2)), np.empty(12)
+        for d in range(2):
+            a, b, e = x[cells[c, 0], d], x[cells[c, 1], d], x[cells[c, 2], d]
+            places[0, d], places[1, d], places[2, d] = a, b, e
+            places[3, d], places[4, d], places[5, d] = (b + e) / 2, (a + e) / 2, (a + b) / 2
+            middle = (a + b + e) / 3
+            places[6, d] = middle
+            places[7, d], places[8, d], places[9, d] = (
+                (a + middle) / 2,
+                (b + middle) / 2,
+                (e + middle) / 2,
+            )
+        one_x, one_z = places[1, 0] - places[0, 0], places[1, 1] - places[0, 1]
+        two_x, two_z = places[2, 0] - places[0, 0], places[2, 1] - places[0, 1]
+        size = one_x * two_z - one_z * two_x
+        for k in range(6):
+            ux, uz = u[nodes[c, k], 0], u[nodes[c, k], 1]
+            values[c, k, 0], values[c, k, 1] = ux, uz
+            ux -= swell * (places[k, 0] - centre[0])
+            uz -= swell * (places[k, 1] - centre[1])
+            straight[2 * k] = ux * two_z - uz * two_x
+            straight[2 * k + 1] = one_x * uz - one_z * ux
+        for k in range(4):
+            r, s = 0.0, 0.0
+            for m in range(12):
+                r += inside[2 * k, m] * straight[m]
+                s += inside[2 * k + 1, m] * straight[m]
+            values[c, 6 + k, 0] = (r * one_x + s * two_x) / size + swell * (
+                places[6 + k, 0] - centre[0]
+            )
+            values[c, 6 + k, 1] = (r * one_z + s * two_z) / size + swell * (
+                places[6 + k, 1] - centre[1]
+            )
+    return values

@@ -224,6 +224,7 @@ class Contacts:
                 gates |= set(nodes)
         outcrops = np.intersect1d(edges.get("surface", []), edges["contacts"]).astype(np.int64)
         owned = np.zeros(len(made), bool)
+        self._shapes = np.array([shapely.LineString(line.points) for line in self._lines])
         for kind, pairs in edges.items():
             surface = kind == "surface"
             rows = [i for i, x in enumerate(self._lines) if (x.kind == "surface") == surface]
@@ -258,11 +259,16 @@ class Contacts:
         A contact of a rock with layers of another one is a chain along one line after another.
         Lines share the nodes at which they meet.
         """
-        far = np.array([_distances(self._lines[i].points, self._made[nodes]) for i in rows])
-        best = far.max(axis=1).argmin()
-        if len(nodes) < 2 or far[best].max() <= OFF_LINE * np.ptp(self._made[:, 1]):
-            yield rows[best], nodes
+        points = shapely.points(self._made[nodes])
+        shapes = self._shapes[rows]
+        near = OFF_LINE * np.ptp(self._made[:, 1])
+        at_middle = shapely.distance(shapes, points[len(points) // 2])
+        likely = np.flatnonzero(at_middle <= max(near, at_middle.min()))
+        far = shapely.distance(shapes[likely, None], points).max(axis=1)
+        if len(nodes) < 2 or far.min() <= near:
+            yield rows[likely[far.argmin()]], nodes
             return
+        far = shapely.distance(shapes[:, None], points)
         edges = np.maximum(far[:, :-1], far[:, 1:]).argmin(axis=0)
         cuts = np.r_[0, np.flatnonzero(np.diff(edges)) + 1, len(edges)]
         for begin, end in pairwise(cuts):
@@ -308,11 +314,6 @@ def _on(line, at):
 def _lengths_at(line, at):
     """Return the arc lengths at places on a line, m."""
     return np.interp(at, np.arange(len(line)), arc_lengths(line))
-
-
-def _distances(line, x):
-    """Return the distances of points from a line, m."""
-    return shapely.distance(shapely.points(x), shapely.LineString(line))
 
 
 def _nearest(line, x):

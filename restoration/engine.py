@@ -22,7 +22,14 @@ from restoration.guard import Guard
 from restoration.inflow import cast_off, flowed_in, with_ends
 from restoration.lines import begin, most_vertices, refined, surface_of, with_points
 from restoration.mesher import Mesher
-from restoration.particles import OUTSIDE, empty_cells, fill_cells, relocate, seed
+from restoration.particles import (
+    OUTSIDE,
+    empty_cells,
+    fill_cells,
+    held_inside,
+    relocate,
+    seed,
+)
 from restoration.plan import active, time_label
 from restoration.scene import WALLS, Line, Outline
 from restoration.state import State
@@ -242,11 +249,11 @@ class StokesEngine:
             lines, rows, begins: see `Contacts.follow`.
         """
         with self.timed("mesh"):
-            particles = self._nowhere(particles)
             if begins:
                 self.grid.contacts.hold(lines)
             if not self.grid.fit(lines, rows, begins):
                 section, points = self.mesher.mesh(lines)
+                particles = self._nowhere(particles)
                 self._take(section, lines, (particles, points, areas(lines)))
             self._guard.look(self.grid)
             return relocate(particles, self.grid.index)
@@ -391,7 +398,7 @@ class StokesEngine:
             particles = self._through_walls(particles, lines, moved)
         if self.fitted:  # the mesh they will be in is yet to come
             self.grid.contacts.carry(rows, lines)
-            return State(until, self._nowhere(particles), lines)
+            return State(until, particles, lines)
         if self.surface:
             particles = self._carried(particles, lines)
         with self.timed("advect"):
@@ -528,26 +535,18 @@ class StokesEngine:
 
     def within(self, x):
         """Return the points with those beyond the frame set onto it; a free surface has none."""
-        outline = self.scene.outline
-        across = np.clip(x[:, 0], *outline.surface[[0, -1], 0])
-        top = np.inf if self.scene.free else np.interp(across, *outline.surface.T)
-        return np.column_stack([across, np.clip(x[:, 1], np.interp(across, *outline.base.T), top)])
+        held = dict.fromkeys(WALLS, True) | {"surface": not self.scene.free}
+        return held_inside(x, self.scene.outline, held)[0]
 
     def _on_walls(self, x):
         """Return the points with those that a step carried through a closed wall set back onto it.
 
         No rock crosses such a wall; a step of finite length can, by its own error.
         """
-        outline = self.scene.outline
         held = {name: name not in self.open for name in WALLS}
         held["surface"] &= not self.scene.free
-        low = np.where(held["left"], outline.surface[0, 0], -np.inf)
-        high = np.where(held["right"], outline.surface[-1, 0], np.inf)
-        across = np.clip(x[:, 0], low, high)
-        bottom = np.interp(across, *outline.base.T) if held["base"] else -np.inf
-        top = np.interp(across, *outline.surface.T) if held["surface"] else np.inf
-        inside = np.column_stack([across, np.clip(x[:, 1], bottom, top)])
-        self.held_on_wall += int(np.count_nonzero(np.any(inside != x, axis=1)))
+        inside, count = held_inside(x, self.scene.outline, held)
+        self.held_on_wall += count
         return inside
 
     @contextmanager

@@ -77,8 +77,14 @@ class CellIndex:
         """Take the nodes of the mesh from where they are now; ``lid`` as above."""
         self.corners = np.ascontiguousarray(self._section.corners)
         self.area = self._section.areas
-        self._tree = cKDTree(self.corners.mean(axis=1))
+        self._centres = None  # made when a point is looked for that no cell is known of
         self.lid = lid
+
+    @property
+    def _tree(self):
+        if self._centres is None:
+            self._centres = cKDTree(self.corners.mean(axis=1))
+        return self._centres
 
     def guess(self, x):
         """Return the cell with the nearest centre for every point, shape (n,), int32."""
@@ -89,7 +95,8 @@ class CellIndex:
 
         Args:
             x: points, shape (n, 2), m.
-            guess: cell to start from, shape (n,); OUTSIDE where none is known.
+            guess: cell to start from, shape (n,); OUTSIDE where none is known. One of another mesh
+                is as good as any.
 
         Returns:
             cell (n,) int32, OUTSIDE where the point is in no cell, and hats (n, k).
@@ -97,9 +104,10 @@ class CellIndex:
         if self.lid is not None:
             top = np.interp(x[:, 0], *self.lid.T) - ON_FACET * np.ptp(self.corners[..., 1])
             x = np.column_stack([x[:, 0], np.minimum(x[:, 1], top)])
-        start = np.array(guess, dtype=np.int32)
-        unknown = np.flatnonzero(start < 0)
+        guess = start = np.asarray(guess, np.int32)
+        unknown = np.flatnonzero((guess < 0) | (guess >= len(self.corners)))
         if unknown.size:
+            start = guess.copy()
             start[unknown] = self.guess(x[unknown])
         cell, weights = self._walk(x, start, self.corners, self.neighbours)
         stuck = np.flatnonzero(cell == OUTSIDE)
@@ -116,13 +124,62 @@ class CellIndex:
         return cell, weights
 
 
+def held_inside(x, outline, held):
+    """Return points with those beyond walls set back onto them, and how many there were.
+
+    Args:
+        x: points, shape (n, 2), m.
+        outline: `scene.Outline`.
+        held: for each of the four walls by name, whether it holds points.
+    """
+    left, right = outline.surface[[0, -1], 0]
+    low = left if held["left"] else -np.inf
+    high = right if held["right"] else np.inf
+    lines = outline.base, outline.surface
+    return _held_inside(x, low, high, *lines, held["base"], held["surface"])
+
+
+@numba.njit(parallel=True, cache=True)
+def _held_inside(x, low, high, base, surface, above_base, below_surface):
+    inside, count = np.empty_like(x), 0
+    for i in numba.prange(len(x)):
+        across = min(max(x[i, 0], low), high)
+        z = x[i, 1]
+        if below_surface:
+            z = min(z, _height(surface, across))
+        if above_base:
+            z = max(z, _height(base, across))
+        inside[i, 0], inside[i, 1] = across, z
+        if across != x[i, 0] or z != x[i, 1]:
+            count += 1
+    return inside, count
+
+
 @numba.njit(cache=True)
+def _height(line, x):
+    """Return the height of a line, shape (n, 2), x ascending, as `numpy.interp` has it."""
+    first, last = 0, len(line) - 1
+    if x <= line[first, 0]:
+        return line[first, 1]
+    if x >= line[last, 0]:
+        return line[last, 1]
+    while last - first > 1:
+        middle = (first + last) // 2
+        if line[middle, 0] <= x:
+            first = middle
+        else:
+            last = middle
+    share = (x - line[first, 0]) / (line[last, 0] - line[first, 0])
+    return line[first, 1] + share * (line[last, 1] - line[first, 1])
+
+
+@numba.njit(parallel=True, cache=True)
 def _walk(x, start, corners, neighbours):
     n = len(x)
     cell = np.empty(n, np.int32)
-    weights = np.zeros((n, 3))
+    weights = np.empty((n, 3))
     most = 2 * len(corners) + 8
-    for i in range(n):
+    for i in numba.prange(n):
         c = start[i]
         for step in range(most):
             x0, z0 = corners[c, 0, 0], corners[c, 0, 1]
@@ -143,21 +200,22 @@ def _walk(x, start, corners, neighbours):
                 weights[i, 0], weights[i, 1], weights[i, 2] = w0, w1, w2
                 break
             c = neighbours[c, k]
-            if c < 0:
-                break
             if step == most - 1:
                 c = -1
+            if c < 0:
+                weights[i] = 0.0
+                break
         cell[i] = c
     return cell, weights
 
 
-@numba.njit(cache=True)
+@numba.njit(parallel=True, cache=True)
 def _walk_squares(x, start, corners, neighbours):
     n = len(x)
     cell = np.empty(n, np.int32)
-    weights = np.zeros((n, 4))
+    weights = np.empty((n, 4))
     most = 2 * len(corners) + 8
-    for i in range(n):
+    for i in numba.prange(n):
         c = start[i]
         for step in range(most):
             r, s = _in_square(x[i], corners[c])
@@ -174,10 +232,11 @@ def _walk_squares(x, start, corners, neighbours):
                 weights[i, 2], weights[i, 3] = (1 - r) * s, r * s
                 break
             c = neighbours[c, k]
-            if c < 0:
-                break
             if step == most - 1:
                 c = -1
+            if c < 0:
+                weights[i] = 0.0
+                break
         cell[i] = c
     return cell, weights
 

@@ -51,22 +51,22 @@ def _powers(degree, square):
     return np.array(powers)
 
 
-@numba.njit(cache=True)
+@numba.njit(parallel=True, cache=True)
 def _polynomial(coefficients, powers, cell, hats, square):
-    u = np.zeros((len(cell), 2))
-    most = powers.max()
-    pr, ps = np.ones(most + 1), np.ones(most + 1)
-    for i in range(len(cell)):
-        c = cell[i]
-        if c < 0:
-            continue
-        r, s = hats[i, 1], hats[i, 2]
-        if square:
-            r, s = r + hats[i, 3], s + hats[i, 3]
-        for m in range(most):
-            pr[m + 1], ps[m + 1] = pr[m] * r, ps[m] * s
-        for m in range(len(powers)):
-            value = pr[powers[m, 0]] * ps[powers[m, 1]]
-            u[i, 0] += coefficients[c, m, 0] * value
-            u[i, 1] += coefficients[c, m, 1] * value
+    u = np.empty((len(cell), 2))
+    for i in numba.prange(len(cell)):
+        c, ux, uz = cell[i], 0.0, 0.0
+        if c >= 0:
+            r, s = hats[i, 1], hats[i, 2]
+            if square:
+                r, s = r + hats[i, 3], s + hats[i, 3]
+            for m in range(len(powers)):
+                value = 1.0
+                for _ in range(powers[m, 0]):
+                    value *= r
+                for _ in range(powers[m, 1]):
+                    value *= s
+                ux += coefficients[c, m, 0] * value
+                uz += coefficients[c, m, 1] * value
+        u[i, 0], u[i, 1] = ux, uz
     return u

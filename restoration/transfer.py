@@ -24,6 +24,7 @@ from restoration.spaces import nodes
 # Weight of the particles of neighbouring vertices in a hat mean, for every cell they share. It
 # keeps the field smooth where a vertex loses the last particle of its own: see docs/accuracy.md.
 BACKGROUND = 0.1
+MOST_CHUNKS, CHUNK_PER_NODE = 8, 4  # chunks of particles; particles in one, for every vertex
 MASS_DEGREE = 3  # of the quadrature of the mass matrix, exact on squares that are not skew
 
 # f of `forms.rheology`, for the values of the particles.
@@ -57,6 +58,7 @@ class RockFields:
     Attributes:
         unsure: number of cells whose rock the lines could not tell when they were filled last: it
             is the mean of their particles.
+        table: density and averaged viscosity of every unit, shape (units, 2).
         rho: density, a Function, kg/m^3; in the air that of the rock goes on.
         density: with that of the air, a UFL expression, kg/m^3.
         eta: viscosity over the reference, a UFL expression.
@@ -70,6 +72,7 @@ class RockFields:
         self._line_rock, self.unsure = line_rock, 0
         self._density = np.asarray(density, float)
         self._mean = AVERAGED[transfer.mean](np.asarray(viscosity, float))
+        self.table = np.stack([self._density, self._mean], 1)
         space = {"hat": spaces.H, "cell": spaces.D, "quadrature": spaces.P}
         if "linear" in (transfer.density, transfer.viscosity):
             family = "DQ" if spaces.section.cell == "quadrilateral" else "DG"
@@ -105,7 +108,7 @@ class RockFields:
             area: weight of each particle, shape (n,).
             lines: moving lines at this moment.
         """
-        hats = self.hat_means(np.stack([self._density, self._mean], 1), cell, weights, unit, area)
+        hats = self.hat_means(self.table, cell, weights, unit, area)
         # Inside a step, before particles can be born there, such a vertex keeps what it had.
         hats = np.where(np.isnan(hats), self._hats, hats)
         if self._air:  # high in the air no particle is near
@@ -167,13 +170,13 @@ class RockFields:
 
     def _between(self, lines, hats, cell, weights, unit, area):
         """Return the moments of density and averaged viscosity by the lines, (cells, 3, 2)."""
-        table, nodes = np.stack([self._density, self._mean], 1), self.spaces.h_nodes
-        moments, unsure = self._line_rock.moments(lines, table, (cell, weights, unit, area))
+        nodes = self.spaces.h_nodes
+        moments, unsure = self._line_rock.moments(lines, self.table, (cell, weights, unit, area))
         self.unsure = int(np.count_nonzero(unsure))
         if self.unsure:
             for j in range(2):
                 fallback = hats[nodes, j].mean(axis=1)
-                means = _cell_means(table[unit, j], cell, area, fallback)
+                means = _cell_means(self.table[unit, j], cell, area, fallback)
                 moments[unsure, :, j] = (means * self.index.area)[unsure, None] / 3
         return moments
 
@@ -328,33 +331,59 @@ def _factor(matrix):
     return splu(matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=options)
 
 
-@numba.njit(cache=True)
 def _hat_means(table, cell, weights, unit, area, nodes, n_nodes, background):
-    properties = table.shape[1]
-    total = np.zeros((n_nodes, properties))
-    weight = np.zeros(n_nodes)
-    for i in range(len(cell)):
-        c = cell[i]
-        if c < 0:
-            continue
-        for k in range(nodes.shape[1]):
-            w = weights[i, k] * area[i]
-            weight[nodes[c, k]] += w
-            for j in range(properties):
-                total[nodes[c, k], j] += w * table[unit[i], j]
-    near_total = np.zeros((n_nodes, properties))
-    near_weight = np.zeros(n_nodes)
+    chunks = min(MOST_CHUNKS, 1 + len(cell) // (CHUNK_PER_NODE * n_nodes))
+    sums = _hat_sums(table, cell, weights, unit, area, nodes, n_nodes, chunks)
+    return _means_of_sums(sums, nodes, background)
+
+
+@numba.njit(parallel=True, cache=True)
+def _hat_sums(table, cell, weights, unit, area, nodes, n_nodes, chunks):
+    """Return the weight at every vertex, and what it is of every property, (vertices, 1 + p).
+
+    Every thread sums up chunks of particles of its own; they are the same ones, and added in the
+    same order, however many threads there are.
+    """
+    columns = 1 + table.shape[1]
+    parts = np.zeros((chunks, n_nodes, columns))
+    size = -(-len(cell) // chunks)
+    for part in numba.prange(chunks):
+        for i in range(part * size, min((part + 1) * size, len(cell))):
+            c = cell[i]
+            if c < 0:
+                continue
+            for k in range(nodes.shape[1]):
+                w, node = weights[i, k] * area[i], nodes[c, k]
+                parts[part, node, 0] += w
+                for j in range(1, columns):
+                    parts[part, node, j] += w * table[unit[i], j - 1]
+    sums = np.empty((n_nodes, columns))
+    for v in numba.prange(n_nodes):
+        for j in range(columns):
+            total = 0.0
+            for part in range(chunks):
+                total += parts[part, v, j]
+            sums[v, j] = total
+    return sums
+
+
+@numba.njit(cache=True)
+def _means_of_sums(sums, nodes, background):
+    n_nodes, columns = sums.shape
+    near = np.zeros((n_nodes, columns))
     for c in range(len(nodes)):
-        for k in range(nodes.shape[1]):
-            for m in range(nodes.shape[1]):
-                near_weight[nodes[c, k]] += weight[nodes[c, m]]
-                for j in range(properties):
-                    near_total[nodes[c, k], j] += total[nodes[c, m], j]
-    mean = np.empty((n_nodes, properties))
+        for j in range(columns):
+            total = 0.0
+            for k in range(nodes.shape[1]):
+                total += sums[nodes[c, k], j]
+            for k in range(nodes.shape[1]):
+                near[nodes[c, k], j] += total
+    mean = np.empty((n_nodes, columns - 1))
     for v in range(n_nodes):
-        for j in range(properties):
-            given = weight[v] + background * near_weight[v]
-            mean[v, j] = (total[v, j] + background * near_total[v, j]) / given if given else np.nan
+        given = sums[v, 0] + background * near[v, 0]
+        for j in range(columns - 1):
+            held = sums[v, j + 1] + background * near[v, j + 1]
+            mean[v, j] = held / given if given else np.nan
     return mean
 
 

@@ -12,6 +12,7 @@ from restoration.particles import (
     Particles,
     empty_cells,
     fill_cells,
+    held_inside,
     relocate,
     seed,
 )
@@ -137,3 +138,31 @@ def test_a_cloud_shares_the_area(make_scene):
     given = seed(scene)
     assert len(given.x) == 8
     assert given.area.sum() == pytest.approx(scene.outline.area)
+
+
+def test_cells_of_another_mesh_are_good_guesses(index):
+    x = np.array([[500, -500.0], [20, -300]])
+    cell, hats = index.locate(x, np.full(2, OUTSIDE))
+    for guess in ([0, 1], [10**6, 5]):
+        again, same = index.locate(x, np.array(guess))
+        assert (again == cell).all()
+        assert same == pytest.approx(hats)
+
+
+@pytest.mark.parametrize("held", ["left", "right", "base", "surface"])
+def test_walls_that_hold_set_points_back_onto_them(held):
+    rng = np.random.default_rng(3)
+    x = rng.uniform([-200, -1200], [1200, 300], (4000, 2))
+    walls = dict.fromkeys(("left", "right", "base", "surface"), False) | {held: True}
+    inside, count = held_inside(x, RELIEF, walls)
+    wanted = x.copy()
+    if held == "left":
+        wanted[:, 0] = np.maximum(x[:, 0], 0)
+    elif held == "right":
+        wanted[:, 0] = np.minimum(x[:, 0], 1000)
+    elif held == "base":
+        wanted[:, 1] = np.maximum(x[:, 1], np.interp(x[:, 0], *RELIEF.base.T))
+    else:
+        wanted[:, 1] = np.minimum(x[:, 1], np.interp(x[:, 0], *RELIEF.surface.T))
+    assert inside == pytest.approx(wanted, abs=1e-9)
+    assert count == np.count_nonzero((wanted != x).any(axis=1)) > 100

@@ -1,3 +1,4 @@
+import numba
 import numpy as np
 import pytest
 
@@ -225,3 +226,17 @@ def test_projection_is_that_of_the_rock_below_air():
         order = np.lexsort(at.round(9).T)
         found.append(fields.rho.x.array[order][at[order, 1] < 1e-9])
     assert found[1] == pytest.approx(found[0], abs=3)
+
+
+def test_fields_do_not_depend_on_the_number_of_threads(box):
+    """To the last bit: the same chunks are summed up in the same order."""
+    if numba.config.NUMBA_NUM_THREADS < 2:
+        pytest.skip("one core")
+    cloud = scattered(box[1], 20_000)
+    unit = np.arange(len(cloud[0])) % 2
+    found = []
+    for threads in (1, 2):
+        numba.set_num_threads(threads)
+        fields = filled(box, [1000, 2600], [1, 50], ("hat", "hat", "harmonic"), unit, cloud)
+        found.append((fields.rho.x.array.copy(), fields.theta.x.array.copy()))
+    assert all((one == other).all() for one, other in zip(*found, strict=True))

@@ -1,0 +1,333 @@
+"""The measurements of docs/performance.md: ``.venv/bin/python docs/performance.py NAME``.
+
+Each prints a table. Seconds are wall seconds unless CPU is said; let nothing else run meanwhile.
+"""
+
+import argparse
+import json
+import resource
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import numba
+import numpy as np
+
+from restoration import assembly, solvers
+from restoration.engine import StokesEngine
+from restoration.environment import use_jit_cache, use_numba_cache
+from restoration.particles import Particles
+from restoration.resolve import load
+from restoration.run import next_time
+
+ROOT = Path(__file__).parents[1]
+CASES = ROOT / "cases"
+WEAK = CASES / "diapir-two-viscosities" / "case.yaml"
+ONE = CASES / "diapir-isoviscous" / "case.yaml"
+# Cases that `make profile` runs, and what shortens them.
+PROFILED = {
+    "diapir, two viscosities": (WEAK, "time.marks=[0 Myr, 0.5 Myr, 0 Myr]"),
+    "the same, mesh lines on the contact": (
+        WEAK,
+        "time.marks=[0 Myr, 0.5 Myr, 0 Myr]",
+        "mesh.interfaces=fitted",
+    ),
+    "graben": (CASES / "graben" / "case.yaml", "time.marks=[0 kyr, 8.75 kyr, 0 kyr]"),
+}
+SOLVING = "solve"
+
+
+def row(*cells):
+    """Print a row of a table."""
+    print("| " + " | ".join(str(cell) for cell in cells) + " |", flush=True)
+
+
+def head(*cells):
+    """Print the head of a table."""
+    row(*cells)
+    row(*["---"] * len(cells))
+
+
+class Walk:
+    """A case that is marched through step by step.
+
+    Args:
+        case: path.
+        overrides: texts ``a.b=value``.
+    """
+
+    def __init__(self, case, *overrides):
+        self.engine = StokesEngine(load(case, overrides).scene)
+        self.state = self.engine.with_flow(self.engine.start())
+        self.mark = self.engine.scene.time.marks[1]
+
+    def step(self):
+        """Take a step."""
+        engine, state, plan = self.engine, self.state, self.engine.scene.time
+        longest = abs(self.mark - state.time) / plan.min_steps
+        stable = min(engine.stable_step(state, self.mark), longest)
+        self.state = engine.with_flow(
+            engine.advance(state, next_time(state.time, self.mark, stable))
+        )
+
+    def timed(self, steps):
+        """Take one step, then more; return seconds a step: wall, CPU, and wall by part."""
+        self.step()
+        before, wall, cpu = dict(self.engine.seconds), time.perf_counter(), time.process_time()
+        for _ in range(steps):
+            self.step()
+        wall, cpu = (time.perf_counter() - wall) / steps, (time.process_time() - cpu) / steps
+        parts = {name: (s - before[name]) / steps for name, s in self.engine.seconds.items()}
+        return wall, cpu, parts
+
+
+def run(case, *overrides):
+    """Run a case by the command and return its record."""
+    with tempfile.TemporaryDirectory() as folder:
+        sets = [part for entry in overrides for part in ("--set", entry)]
+        command = [sys.executable, "-m", "restoration.cli", "run", str(case), *sets, "--quiet"]
+        subprocess.run([*command, "--out", folder], check=True, capture_output=True, cwd=ROOT)
+        return json.loads((Path(folder) / "run.json").read_text())
+
+
+def profile():
+    """Where runs spend their time, per cent of the wall time, and outside the linear solves."""
+    for name, (case, *overrides) in PROFILED.items():
+        record = run(case, *overrides)
+        parts = record["wall_by_part_s"]
+        print(
+            f"\n{name}: {record['unknowns']} unknowns, {record['particles']} particles, "
+            f"{record['steps']} steps, {record['stokes_solves']} solves, "
+            f"{record['factorisations']} factorisations, {record['meshes']} meshes, "
+            f"{record['wall_s']:.0f} s\n"
+        )
+        head("part", "s", "%")
+        for part, seconds in parts.items():
+            if seconds:
+                row(part, f"{seconds:.1f}", f"{100 * seconds / record['wall_s']:.0f}")
+        outside = 1 - parts[SOLVING] / record["wall_s"]
+        row("**all but solve**", "", f"**{100 * outside:.0f}**")
+
+
+def particles():
+    """Particle-stages a second: locate, fill the fields, velocity; by threads and order."""
+    head("particles", "order", "threads", "locate", "fill", "velocity", "together, M/s")
+    rng = np.random.default_rng(0)
+    for per_cell in (8, 40):
+        walk = Walk(WEAK, f"particles.per_cell={per_cell}", "mesh.cells=75")
+        cloud = walk.state.particles
+        order = {
+            "as seeded": np.arange(len(cloud.x)),
+            "by cell": np.argsort(cloud.cell, kind="stable"),
+            "at random": rng.permutation(len(cloud.x)),
+        }
+        for name, rows in order.items():
+            for threads in sorted({1, numba.config.NUMBA_NUM_THREADS}):
+                numba.set_num_threads(threads)
+                seconds = stage_seconds(walk, rows)
+                rates = [len(rows) / s / 1e6 for s in (*seconds, sum(seconds))]
+                row(len(rows), name, threads, *(f"{rate:.1f}" for rate in rates))
+
+
+def stage_seconds(walk, rows):
+    """Return the seconds that particles in an order take: locate, fill the fields, velocity."""
+    engine, grid, p = walk.engine, walk.state.grid, walk.state.particles
+    coefficients = grid.sampler.coefficients(walk.state.flow.u)
+    p = Particles(*(getattr(p, name)[rows] for name in p.__dataclass_fields__))
+    x = p.x + 0.1 * grid.sizes.min()
+    cell, hats = grid.index.locate(engine.within(x), p.cell)
+    work = (
+        lambda: grid.index.locate(engine.within(x), p.cell),
+        lambda: grid.fields.hat_means(grid.fields.table, cell, hats, p.unit, p.area),
+        lambda: grid.sampler(coefficients, cell, hats),
+    )
+    return [fastest(part) for part in work]
+
+
+def fastest(work, repeats=5):
+    """Return the least seconds that some work takes."""
+    took = []
+    work()
+    for _ in range(repeats):
+        begin = time.perf_counter()
+        work()
+        took.append(time.perf_counter() - begin)
+    return min(took)
+
+
+def solves():
+    """What a step of rk4 costs, two viscosities: factors kept or not, and how it is assembled."""
+    head(
+        "interfaces",
+        "cells",
+        "unknowns",
+        "factors",
+        "factorisations / solves",
+        "iterations",
+        "assembly, CPU s",
+        "solves, CPU s",
+    )
+    kept, serves = solvers.FACTOR_COST, assembly.CellAssembler.serves
+    for interfaces in ("particles", "fitted"):
+        for cells in (45, 75):
+            for name, cost, known in (
+                ("new for every solve, general assembly", -np.inf, False),
+                ("as they are", kept, True),
+            ):
+                solvers.FACTOR_COST = cost
+                assembly.CellAssembler.serves = serves if known else staticmethod(never)
+                walk = Walk(WEAK, f"mesh.interfaces={interfaces}", f"mesh.cells={cells}")
+                counts = walk.engine.counts
+                walk.step()
+                before = counts.factorisations, counts.solves, counts.krylov_iterations
+                begin = dict(walk.engine.seconds)
+                for _ in range(8):
+                    walk.step()
+                seconds = walk.engine.seconds
+                factors, solved, iterations = (
+                    now - earlier
+                    for now, earlier in zip(
+                        (counts.factorisations, counts.solves, counts.krylov_iterations),
+                        before,
+                        strict=True,
+                    )
+                )
+                row(
+                    interfaces,
+                    cells,
+                    walk.engine.grid.spaces.unknowns,
+                    name,
+                    f"{factors} / {solved}",
+                    iterations,
+                    *(f"{(seconds[p] - begin[p]) / 8:.2f}" for p in ("assemble", "solve")),
+                )
+    solvers.FACTOR_COST, assembly.CellAssembler.serves = kept, serves
+
+
+def never(*_):
+    """Tell that no assembly by known places is wanted."""
+    return False
+
+
+def peak_mb():
+    """Return the greatest resident memory so far, MB."""
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+
+
+def exponent(sizes, costs):
+    """Return the exponent of the power of the size that a cost goes with."""
+    return np.polyfit(np.log(sizes), np.log(costs), 1)[0]
+
+
+def apart(work, *arguments):
+    """Return what a function of this script prints as JSON in a process of its own."""
+    command = [sys.executable, __file__, "--apart", work, *map(str, arguments)]
+    done = subprocess.run(command, check=True, capture_output=True, text=True, cwd=ROOT)
+    return json.loads(done.stdout.splitlines()[-1])
+
+
+def size_of(cells, per_cell, steps):
+    """Print what a step costs, as JSON."""
+    base = peak_mb()
+    walk = Walk(WEAK, f"mesh.cells={cells}", f"particles.per_cell={per_cell}", "time.courant=0.5")
+    wall, cpu, parts = walk.timed(int(steps))
+    print(
+        json.dumps(
+            {
+                "unknowns": walk.engine.grid.spaces.unknowns,
+                "particles": len(walk.state.particles.x),
+                "wall": wall,
+                "cpu": cpu,
+                "peak_mb": peak_mb(),
+                "base_mb": base,
+                "parts": parts,
+            }
+        )
+    )
+
+
+def unknowns():
+    """A step of rk4 against unknowns: two viscosities, four particles a cell, 2-D."""
+    head("unknowns", "particles", "wall, s", "CPU, s", "solve, s", "peak, MB", "kB per unknown")
+    sizes, costs = [], []
+    for cells in (32, 72, 125, 225):
+        got = apart("size_of", cells, 4, 2)
+        sizes.append(got["unknowns"])
+        costs.append(got["cpu"])
+        row(
+            got["unknowns"],
+            got["particles"],
+            f"{got['wall']:.2f}",
+            f"{got['cpu']:.2f}",
+            f"{got['parts'][SOLVING]:.2f}",
+            f"{got['peak_mb']:.0f}",
+            f"{1024 * (got['peak_mb'] - got['base_mb']) / got['unknowns']:.1f}",
+        )
+    print(f"\nexponent of the CPU seconds: {exponent(sizes, costs):.2f}")
+
+
+def cloud():
+    """A step of rk4 against particles: two viscosities, 40 000 unknowns."""
+    head("particles", "wall, s", "CPU, s", "all but Stokes, CPU s", "peak, MB", "B per particle")
+    sizes, costs, least = [], [], None
+    for per_cell in (8, 80, 800):
+        got = apart("size_of", 45, per_cell, 2)
+        least = least or got
+        others = sum(got["parts"][part] for part in ("fields", "advect"))
+        sizes.append(got["particles"])
+        costs.append(others)
+        more = got["particles"] - least["particles"]
+        row(
+            got["particles"],
+            f"{got['wall']:.2f}",
+            f"{got['cpu']:.2f}",
+            f"{others:.2f}",
+            f"{got['peak_mb']:.0f}",
+            f"{2**20 * (got['peak_mb'] - least['peak_mb']) / more:.0f}" if more else "",
+        )
+    print(f"\nexponent of the particle work: {exponent(sizes[1:], costs[1:]):.2f}")
+
+
+def steady():
+    """One viscosity on a fixed mesh: a step over its particle work and one solve a stage."""
+    head("cells", "step, s", "particle work, s", "one back-substitution, s", "ratio")
+    for cells in (45, 90):
+        walk = Walk(ONE, f"mesh.cells={cells}")
+        wall, _, parts = walk.timed(6)
+        stokes = walk.engine.grid.stokes
+        solver = stokes.solver
+        back = fastest(lambda solver=solver, s=stokes: solver.apply(None, s.b, s.x))
+        work = parts["fields"] + parts["advect"]
+        row(
+            cells,
+            f"{wall:.3f}",
+            f"{work:.3f}",
+            f"{back:.4f}",
+            f"{wall / (work + 4 * back):.2f}",
+        )
+
+
+TABLES = {f.__name__: f for f in (profile, particles, solves, steady, unknowns, cloud)}
+
+
+def main():
+    """Print the tables that are asked for."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("names", nargs="*", default=list(TABLES), choices=[*TABLES, []])
+    parser.add_argument("--apart", nargs="+", help=argparse.SUPPRESS)
+    use_numba_cache()
+    use_jit_cache()
+    given = parser.parse_args()
+    if given.apart:
+        work, *arguments = given.apart
+        globals()[work](*arguments)
+        return
+    for name in given.names:
+        print(f"\n## {name}: {TABLES[name].__doc__}\n")
+        TABLES[name]()
+
+
+if __name__ == "__main__":
+    main()
