@@ -17,11 +17,12 @@ from restoration.units import show
 BASE_MB, PER_UNKNOWN, PER_PARTICLE = 400, 2400, 300
 
 
-def describe(loaded):
+def describe(loaded, forecast=None):
     """Return what a case would solve, as plain values in SI.
 
     Args:
         loaded: `resolve.Loaded`.
+        forecast: `forecast.Forecast`, or None where nothing was rehearsed.
     """
     scene = loaded.scene
     cells, count = unknowns(scene.cells, scene.mesh.element)
@@ -60,14 +61,15 @@ def describe(loaded):
         "viscosity_contrast": float(scene.unit_viscosity.max() / scene.unit_viscosity.min()),
         "active": active(scene),
         "notes": list(scene.notes),
-        "time_forecast_s": None,
+        "time_forecast_s": forecast and round(forecast.seconds, 1),
+        "forecast": forecast and vars(forecast),
         "restorability": restorable(scene),
     }
 
 
-def describe_text(loaded):
+def describe_text(loaded, forecast=None):
     """Return what a case would solve, for people; arguments as `describe`."""
-    scene, about = loaded.scene, describe(loaded)
+    scene, about = loaded.scene, describe(loaded, forecast)
     size = (
         f"{show(scene.outline.width, 'length')} wide, {show(scene.outline.height, 'length')} high"
     )
@@ -106,6 +108,7 @@ def describe_text(loaded):
         f"{about['stokes_solves_at_least']} Stokes solves; more where the flow is fast "
         f"(courant {scene.time.courant:g})",
         f"memory     about {about['memory_mb_about']} MB",
+        *_forecast_lines(forecast),
     ]
     if scene.free:
         lines.append(f"surface    {about['restorability']['verdict']}")
@@ -113,6 +116,29 @@ def describe_text(loaded):
     lines += [f"note       {note}" for note in scene.notes]
     lines += ["", "# the case with every default", loaded.resolved.rstrip()]
     return "\n".join(lines)
+
+
+def _forecast_lines(forecast):
+    """Return what a rehearsal told, for people."""
+    if forecast is None:
+        return ["time       restore check --forecast rehearses the run and tells"]
+    presets = ", ".join(f"{name} {_duration(s)}" for name, s in forecast.presets.items())
+    certificate = ""
+    if forecast.certificate_s:
+        certificate = f", {_duration(forecast.certificate_s)} of it for the certificate"
+    return [
+        f"forecast   {_duration(forecast.seconds)}{certificate}; about {forecast.steps} steps and "
+        f"{forecast.solves} Stokes solves, {forecast.memory_mb:.0f} MB",
+        f"accuracy   with the cells and steps of a preset: {presets}",
+    ]
+
+
+def _duration(seconds):
+    """Return a duration in words, two figures."""
+    for unit, length in (("d", 86400), ("h", 3600), ("min", 60)):
+        if seconds >= 1.5 * length:
+            return f"{float(f'{seconds / length:.2g}'):g} {unit}"
+    return f"{float(f'{seconds:.2g}'):g} s"
 
 
 def _lines(scene):

@@ -3,6 +3,7 @@
 import argparse
 import json
 import os
+import signal
 import sys
 from pathlib import Path
 
@@ -72,6 +73,11 @@ def _parser():
     bench.add_argument("--list", action="store_true", help="list the benchmarks")
     bench.add_argument("--out", metavar="DIR", help="write rows and a figure of each there")
     check.add_argument("--json", action="store_true", help="print JSON")
+    check.add_argument(
+        "--forecast",
+        action="store_true",
+        help="rehearse the run on coarse cells, and tell how long it will take and the memory",
+    )
     run.add_argument("--out", metavar="DIR", help="run folder; default runs/<case>-<hash8>")
     run.add_argument("--fresh", action="store_true", help="throw an earlier run away")
     run.add_argument(
@@ -97,12 +103,22 @@ def _check(options):
         return 0
     from restoration.check import describe, describe_text
 
-    loaded = _load(options)
+    loaded, told = _load(options), None
+    if options.forecast:
+        from restoration.forecast import forecast
+
+        told = forecast(loaded.scene)
+        _let_pipes_break()
     if options.json:
-        print(json.dumps(describe(loaded), indent=1, allow_nan=False))
+        print(json.dumps(describe(loaded, told), indent=1, allow_nan=False))
     else:
-        print(describe_text(loaded))
+        print(describe_text(loaded, told))
     return 0
+
+
+def _let_pipes_break():
+    """Take back from PETSc what becomes of output that nobody reads, see `main`."""
+    signal.signal(signal.SIGPIPE, signal.SIG_IGN)
 
 
 def _run(options):

@@ -37,14 +37,18 @@ def active(scene):
     """Return what the scene requires, and nothing else, with the reason for each."""
     plan = scene.mesh
     parts = [f"plane strain Stokes flow on {plan.element} elements", _solver(scene), _mesh(scene)]
-    if scene.one_viscosity and scene.free:
-        parts.append("a factorisation for every solve: the mesh moves with the surface")
-    elif scene.one_viscosity and plan.refine is None and plan.interfaces == "particles":
+    fitted = plan.interfaces != "particles"
+    if scene.one_viscosity and plan.refine is None and not fitted and not scene.free:
         parts.append("one factorisation for the whole run: one viscosity, a mesh that stands still")
-    elif scene.one_viscosity:
+    elif scene.one_viscosity and not fitted and not scene.free:
         parts.append("a factorisation for every mesh: one viscosity")
+    elif fitted or scene.one_viscosity:
+        parts.append(
+            "the last factorisation as preconditioner of the next solves, as long as that costs "
+            "less than a new one: the mesh moves with the rock"
+        )
     else:
-        parts.append("a factorisation for every solve: the viscosity moves with the rock")
+        parts.append("a factorisation for every new moment: the viscosity moves with the rock")
     if scene.closed:
         parts.append("the level of the pressure is set at the surface: no wall is left to itself")
     else:

@@ -81,6 +81,7 @@ ORDER = {
         "progress",
         "recorder",
         "run",
+        "forecast",
         "check",
         "bench",
         "cli",

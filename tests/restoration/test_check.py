@@ -66,6 +66,11 @@ def test_particles_are_counted_as_seeded():
     assert len(seed_points(loaded.scene)[0]) == about
 
 
+def test_without_a_rehearsal_no_time_is_told():
+    assert describe(load(DEMO))["time_forecast_s"] is None
+    assert "restore check --forecast" in words_of(DEMO)
+
+
 def test_marches_say_their_way():
     text = words_of(DEMO, "time.marks=[0 Myr, 6 Myr, 0 Myr]")
     assert "march      from 0 Myr to 6 Myr, forward" in text
@@ -77,7 +82,8 @@ def test_marches_say_their_way():
     ("override", "said"),
     [
         ("mesh.cells=45", "one factorisation for the whole run"),
-        ("rocks.salt.viscosity=1e17 Pa s", "a factorisation for every solve"),
+        ("rocks.salt.viscosity=1e17 Pa s", "a factorisation for every new moment"),
+        ("mesh.interfaces=fitted", "the last factorisation as preconditioner"),
         ("mesh.cells=45", "the level of the pressure is set at the surface"),
         ("boundary.surface={traction: [0 MPa, 0 MPa]}", "comes from the wall that is left"),
         ("time.scheme=paper", "steps by paper, one flow for each step"),
@@ -85,7 +91,7 @@ def test_marches_say_their_way():
         ("section.layers.0.rock=sediment", "one rock: only the walls can move it"),
         ("transfer.mean=geometric", "(geometric mean)"),
         ("boundary.surface=free", "a mesh that moves with the surface; particles carry the rock"),
-        ("boundary.surface=free", "a factorisation for every solve: the mesh moves"),
+        ("boundary.surface=free", "the last factorisation as preconditioner"),
     ],
 )
 def test_what_is_active_and_why(override, said):
