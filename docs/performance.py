@@ -12,13 +12,12 @@ import tempfile
 import time
 from pathlib import Path
 
-import numba
 import numpy as np
 import shapely
 
 from restoration import assembly, solvers
 from restoration.engine import StokesEngine
-from restoration.environment import use_jit_cache, prepare_numba
+from restoration.environment import use_jit_cache, use_numba_cache
 from restoration.particles import Particles
 from restoration.resolve import load
 from restoration.run import next_time
@@ -115,6 +114,8 @@ def profile():
 def particles():
     """Particle-stages a second: locate, fill the fields, velocity; by threads and order."""
     head("particles", "order", "threads", "locate", "fill", "velocity", "together, M/s")
+    import numba  # not before restoration has chosen its threads
+
     rng = np.random.default_rng(0)
     for per_cell in (8, 40):
         walk = Walk(WEAK, f"particles.per_cell={per_cell}", "mesh.cells=75")
@@ -385,7 +386,7 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("names", nargs="*", metavar="NAME", help=f"of {', '.join(TABLES)}")
     parser.add_argument("--apart", nargs="+", help=argparse.SUPPRESS)
-    prepare_numba()
+    use_numba_cache()
     use_jit_cache()
     given = parser.parse_args()
     if given.apart:

@@ -8,7 +8,7 @@ import sys
 from pathlib import Path
 
 from restoration import __version__
-from restoration.environment import check_environment, use_jit_cache, prepare_numba
+from restoration.environment import check_environment, use_jit_cache, use_numba_cache
 from restoration.errors import CaseError, RestorationError
 
 MISSED = 1  # exit code where a benchmark misses a bound
@@ -21,7 +21,7 @@ def main(arguments=None):
     try:
         for warning in check_environment():
             print(f"warning: {warning}", file=sys.stderr)
-        prepare_numba()
+        use_numba_cache()
         code = options.command(options)
         sys.stdout.flush()
         return code

@@ -178,14 +178,11 @@ def use_jit_cache():
     return folder
 
 
-def prepare_numba():
-    """Choose numba's threads, and keep its kernels in `jit_cache` if not beside their source.
+def use_numba_cache():
+    """Keep compiled kernels in `jit_cache` where they cannot lie beside their source.
 
-    Of its layers `workqueue` alone leaves the cores to others while it has nothing to do: `omp`
-    spins, and `tbb`, where a system has it, can take minutes to end beside MPI. To be called
-    before numba is imported.
+    To be called before numba is imported.
     """
-    os.environ.setdefault("NUMBA_THREADING_LAYER", "workqueue")
     if not os.access(Path(__file__).parent, os.W_OK):
         os.environ.setdefault("NUMBA_CACHE_DIR", str(jit_cache("numba")))
 

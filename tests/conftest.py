@@ -1,6 +1,6 @@
 """What all tests share: compiled forms and kernels are kept where a run keeps them."""
 
-from restoration.environment import use_jit_cache, prepare_numba
+from restoration.environment import use_jit_cache, use_numba_cache
 
-prepare_numba()
+use_numba_cache()
 use_jit_cache()

@@ -287,10 +287,10 @@ def test_a_killed_compilation_does_not_poison_the_next_run(tmp_path):
 def test_numba_caches_beside_the_source_or_in_our_folder(places, monkeypatch):
     monkeypatch.setenv("NUMBA_CACHE_DIR", "kept")
     monkeypatch.delenv("NUMBA_CACHE_DIR")
-    environment.prepare_numba()
+    environment.use_numba_cache()
     assert "NUMBA_CACHE_DIR" not in os.environ
     monkeypatch.setattr(environment.os, "access", lambda path, mode: "venv" in str(path))
-    environment.prepare_numba()
+    environment.use_numba_cache()
     assert os.environ["NUMBA_CACHE_DIR"] == str(places / "venv/cache/numba")
 
 
