@@ -166,7 +166,10 @@ def use_jit_cache():
         The folder.
     """
     import dolfinx.jit
+    import ffcx.codegeneration.jit as compiler
 
+    if not hasattr(compiler.get_cached_module, "remembered"):
+        compiler.get_cached_module = _remembering(compiler.get_cached_module)
     folder = jit_cache()
     _join(folder)
     parameters = dolfinx.jit.DOLFINX_DEFAULT_JIT_PARAMETERS
@@ -176,6 +179,26 @@ def use_jit_cache():
         if type(handler) is logging.StreamHandler:  # FFCx's, not one of a log file
             handler.setLevel(logging.WARNING)  # setuptools tells every compiler call as INFO
     return folder
+
+
+def _remembering(find):
+    """Return FFCx's `get_cached_module` with what this process has loaded kept in memory.
+
+    It lists the whole folder for every form, and a run makes forms anew for every mesh.
+    """
+    remembered = {}
+
+    def found(module_name, object_names, cache_dir, timeout):
+        key = module_name, tuple(object_names), str(cache_dir)
+        if key not in remembered:
+            objects, module = find(module_name, object_names, cache_dir, timeout)
+            if objects is None:  # to be compiled
+                return objects, module
+            remembered[key] = objects, module
+        return remembered[key]
+
+    found.remembered = remembered
+    return found
 
 
 def use_numba_cache():

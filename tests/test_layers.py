@@ -105,6 +105,7 @@ ORDER = {
         "graben",
         "certificate",
         "paper",
+        "peers",
         "pictures",
         "suite",
     ],

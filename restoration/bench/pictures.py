@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from restoration.bench import certificate, paper, reverse_surface
+from restoration.bench import certificate, paper, peers, reverse_surface
 from restoration.bench.exact import two_layer_growth_rate
 from restoration.bench.reference import RAMBERG, sinking_block_velocity
 from restoration.page import Page, style
@@ -447,4 +447,5 @@ PANELS = {
     "graben": _graben,
     "certificate": certificate.panels,
     "paper": paper.panels,
+    "peers": peers.panels,
 }

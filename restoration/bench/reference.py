@@ -232,6 +232,112 @@ VORTEX_HALF = {
 }
 
 
+# CPU seconds, unknowns and answers of another code, from the reference tables: one process on two
+# shared cores, start-up excluded, repeats spread by 20 to 50 %; 7 cycles of adaption for the waves.
+PEERS = {
+    "code": "ASPECT 2.5.0, deal.II 9.4.1, block AMG and GMRES to 1e-7, release build",
+    "sinking_block": {
+        "rows": [
+            {
+                "mesh": 160,
+                "how": "function",
+                "eta_block": 1e19,
+                "v": -1.38113e-09,
+                "unknowns": 335044,
+                "total_s": 4.54,
+            },
+            {
+                "mesh": 320,
+                "how": "function",
+                "eta_block": 1e19,
+                "v": -1.37539e-09,
+                "unknowns": 1335684,
+                "total_s": 20.6,
+            },
+            {
+                "mesh": 160,
+                "how": "function",
+                "eta_block": 1e21,
+                "v": -8.36124e-10,
+                "unknowns": 335044,
+                "total_s": 3.63,
+            },
+            {
+                "mesh": 160,
+                "how": "function",
+                "eta_block": 1e23,
+                "v": -3.78777e-10,
+                "unknowns": 335044,
+                "total_s": 4.75,
+            },
+            {
+                "mesh": 320,
+                "how": "function",
+                "eta_block": 1e23,
+                "v": -3.77995e-10,
+                "unknowns": 1335684,
+                "total_s": 24.3,
+            },
+            {
+                "mesh": 320,
+                "how": "function",
+                "eta_block": 1e27,
+                "v": -3.60779e-10,
+                "unknowns": 1335684,
+                "total_s": 73.7,
+            },
+        ]
+    },
+    "rayleigh_taylor": {
+        "relative_error": {
+            "64 km": [-0.0054, -0.0094, -0.0042],
+            "128 km": [-0.002, -0.0024, -0.002],
+            "256 km": [-0.0002, -0.0003, -0.0002],
+        },
+        "eta2": [1e20, 1e21, 1e23],
+        "total_s": [2.3, 3.4],
+        "unknowns": 115000,
+    },
+    "crameri_1": {
+        "rows": [
+            {
+                "mesh": "300x75",
+                "unknowns": 385880,
+                "steps": 160,
+                "total_s": 1170,
+                "crest_m_at_14825_yr": 2576.4,
+            },
+            {
+                "mesh": "140x35",
+                "unknowns": 84880,
+                "steps": 76,
+                "total_s": 78.8,
+                "crest_m_at_14825_yr": 2551.8,
+            },
+        ]
+    },
+    "van_keken": {
+        "unknowns": 70789,
+        "rows": [
+            {
+                "how": "Q2 field",
+                "steps": 191,
+                "peak_v_rms": 0.00305606,
+                "at": 209.9,
+                "total_s": 67.3,
+            },
+            {
+                "how": "102,400 particles",
+                "steps": 183,
+                "peak_v_rms": 0.00308314,
+                "at": 216.0,
+                "total_s": 59.0,
+            },
+        ],
+    },
+}
+
+
 def sinking_block_velocity(log10_ratio):
     """Return the velocity of the sinking block at any viscosity contrast.
 

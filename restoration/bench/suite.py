@@ -9,6 +9,7 @@ from restoration.bench import (
     graben,
     gravity,
     paper,
+    peers,
     pictures,
     reliefs,
     rest,
@@ -46,6 +47,7 @@ BENCHMARKS = {
     "graben": graben.run_graben,
     "certificate": certificate.run_certificate,
     "paper": paper.run_paper,
+    "peers": peers.run_peers,
 }
 
 

@@ -135,7 +135,7 @@ def _march(ratio, interfaces, cells, quick):
             parameters=at,
             **more | {"source": "exact flow by Fourier series, residual below 1e-5"},
         )
-    peak, when = _peak(times, speeds)
+    peak, when = peak_of(times, speeds)
     published = VAN_KEKEN_PEAK[ratio]
     value = PUBLISHED if ratio == 1 else published[0][1]
     best = ratio == 1 and (interfaces, cells) in (("particles", 64), ("fitted", 40))
@@ -161,7 +161,7 @@ def _march(ratio, interfaces, cells, quick):
     )
 
 
-def _peak(times, speeds):
+def peak_of(times, speeds):
     """Return the greatest speed and its time, by the parabola through the three highest."""
     i = int(np.clip(speeds.argmax(), 1, len(speeds) - 2))
     a, b, c = np.polyfit(times[i - 1 : i + 2] - times[i], speeds[i - 1 : i + 2], 2)

@@ -284,6 +284,22 @@ def test_a_killed_compilation_does_not_poison_the_next_run(tmp_path):
     assert done.exists()
 
 
+def test_compiled_forms_are_looked_for_on_disk_once():
+    asked = []
+
+    def find(name, objects, folder, timeout):
+        asked.append(name)
+        return (None, None) if len(asked) == 1 else ([name], "module")
+
+    found = environment._remembering(find)
+    assert found("a", ["f"], "folder", 10) == (None, None)  # it is compiled now
+    for _ in range(3):
+        assert found("a", ["f"], "folder", 10) == (["a"], "module")
+    assert asked == ["a", "a"]
+    found("b", ["f"], "folder", 10)
+    assert asked == ["a", "a", "b"]
+
+
 def test_numba_caches_beside_the_source_or_in_our_folder(places, monkeypatch):
     monkeypatch.setenv("NUMBA_CACHE_DIR", "kept")
     monkeypatch.delenv("NUMBA_CACHE_DIR")
