@@ -75,13 +75,14 @@ class CellAssembler:
 
     def __init__(self, cells, facets, space, mesh):
         self._form, self._facets, self._mesh = cells, facets, mesh
-        first = fem.petsc.assemble_matrix(cells)  # only what was set once has a place
-        first.assemble()
-        rows, columns, self._values = first.getValuesCSR()
-        csr = rows, columns, self._values
-        self.A = PETSc.Mat().createAIJWithArrays(first.getSize(), csr, comm=mesh.comm)
-        self.A.setLGMap(*first.getLGMap())
-        first.destroy()
+        pattern = fem.create_sparsity_pattern(cells)
+        pattern.assemble()
+        rows, columns = pattern.graph.offsets.copy(), pattern.graph.array.copy()
+        self._values = np.zeros(len(columns))
+        n, csr = len(rows) - 1, (rows, columns, self._values)
+        self.A = PETSc.Mat().createAIJWithArrays((n, n), csr, comm=mesh.comm)
+        numbers = PETSc.LGMap().create(np.arange(n, dtype=np.int32), comm=mesh.comm)
+        self.A.setLGMap(numbers, numbers)
         self._rows, self._columns = rows, columns
         self._conditions, self._held, self._diagonal = None, None, None
         dofs = space.dofmap.list
