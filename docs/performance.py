@@ -276,7 +276,7 @@ def unknowns():
 
 def cloud():
     """A step of rk4 against particles: two viscosities, 40 000 unknowns."""
-    head("particles", "wall, s", "CPU, s", "all but Stokes, CPU s", "peak, MB", "B per particle")
+    head("particles", "wall, s", "CPU, s", "all but Stokes, wall s", "peak, MB", "B per particle")
     sizes, costs, least = [], [], None
     for per_cell in (8, 80, 800):
         got = apart("size_of", 45, per_cell, 2)

@@ -52,11 +52,13 @@ def rk3(x, velocity, dt):
 
 def rk4(x, velocity, dt):
     """Advance points by one classical Runge-Kutta step (fourth order)."""
-    k1 = velocity(x)
-    k2 = velocity(x + 0.5 * dt * k1)
-    k3 = velocity(x + 0.5 * dt * k2)
-    k4 = velocity(x + dt * k3)
-    return x + dt / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+    k = velocity(x)
+    total, k = k, velocity(x + 0.5 * dt * k)
+    total = total + 2 * k  # of millions of particles only two velocities are kept at a time
+    k = velocity(x + 0.5 * dt * k)
+    total += 2 * k
+    total += velocity(x + dt * k)
+    return x + dt / 6 * total
 
 
 def implicit_midpoint(x, velocity, dt, tolerance=TOLERANCE):
