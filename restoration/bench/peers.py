@@ -1,9 +1,10 @@
 """What another code takes for the same answers: error against error, CPU seconds against seconds.
 
-The other code is ASPECT 2.5.0 with the adaptive meshes, elements and tolerances that its manual
-uses, run on a machine of the kind that ours are measured on, one process; `reference.PEERS` has its
-numbers. Ours are CPU seconds from the scene to the number, without the start of the program, as
-theirs are.
+The other code is ASPECT 2.5.0, run on a machine of the kind that ours are measured on, one process;
+`reference.PEERS` has its numbers. Ours are CPU seconds from the scene to the number, without the
+start of the program, as theirs are. Its errors of the waves are taken to be those of the greatest
+velocity against linear theory: they follow what the exact flow of a wave of finite height is
+slower, 0.1 to 1 %. Here they are turned into errors against that flow, which are much smaller.
 """
 
 import time
@@ -19,6 +20,7 @@ from restoration.bench.gravity import block_section, fall
 from restoration.bench.reference import (
     PEERS,
     RAMBERG,
+    RAMBERG_GREATEST,
     RAMBERG_VELOCITY,
     sinking_block_velocity,
 )
@@ -42,7 +44,7 @@ BLOCKS = {
     (1e27, 320): (20, "P2-P1"),
 }
 # Cells across half a wave, and of the wave along the contact.
-WAVES = {64e3: (2, 0.1), 128e3: (2, 0.05), 256e3: (4, 0.05)}
+WAVES = {64e3: (2, 0.05), 128e3: (2, 0.05), 256e3: (4, 0.05)}
 CREST_AT = 14.825  # kyr
 CREST = 2617.5  # m, non-linear relaxation computed independently
 PEAK, PEAK_AT = 0.0030943, 208.5  # van Keken et al. (1997), CND on 48 x 48; see docs/benchmarks.md
@@ -87,7 +89,7 @@ def run_peers(quick):
     yield from (row for match in _blocks(quick) for row in match.rows(quick))
     yield from (row for match in _waves(quick) for row in match.rows(quick))
     yield from _relaxation(quick).rows(quick)
-    yield from _overturn().rows(quick)
+    yield from (row for match in _overturn() for row in match.rows(quick))
 
 
 def panels(rows):
@@ -177,7 +179,14 @@ def _waves(quick):
     peer = PEERS["rayleigh_taylor"]
     growth(256e3, 1e20, 2, 0.1)  # compiles
     for wavelength, choice in WAVES.items():
-        errors = peer["relative_error"][f"{wavelength / 1e3:g} km"]
+        errors = [
+            (1 + error) / (1 + exact) - 1
+            for error, exact in zip(
+                peer["relative_error"][f"{wavelength / 1e3:g} km"],
+                RAMBERG_GREATEST[wavelength],
+                strict=True,
+            )
+        ]
         for eta2, theirs in list(zip(peer["eta2"], errors, strict=True))[:: 2 if quick else 1]:
             begin = time.process_time()
             solved, found = growth(wavelength, eta2, *choice)
@@ -211,18 +220,17 @@ def _relaxation(quick):
 
 
 def _overturn():
-    theirs = PEERS["van_keken"]["rows"][1]
+    """Yield our run on mesh lines beside both of theirs: by a field, and by particles."""
 
     def ran(last):
         scene = van_keken.scene(
             1,
-            cells=32,
-            particles=ParticlePlan(4, 5, 0.5, 1),
-            mesh=MeshPlan("P2-P1"),
+            cells=12,
+            particles=ParticlePlan(1, 1, 0.5, 1),
+            mesh=MeshPlan("P2-P1", "fitted"),
             marks=(0.0, last),
             courant=1.0,
-            min_steps=30,
-            scheme="midpoint",
+            min_steps=max(1, round(last / 10)),
         )
         engine, passed = StokesEngine(scene), []
 
@@ -233,16 +241,19 @@ def _overturn():
         engine.grid.stokes.release()
         return engine, np.array(passed)
 
-    ran(1.0)  # compiles
+    ran(5.0)  # compiles
     begin = time.process_time()
     engine, passed = ran(300.0)
     seconds = time.process_time() - begin
     peak, when = van_keken.peak_of(*passed.T)
-    ours = max(abs(peak / PEAK - 1), abs(when / PEAK_AT - 1))
-    other = max(abs(theirs["peak_v_rms"] / PEAK - 1), abs(theirs["at"] / PEAK_AT - 1))
-    return Match(
-        "overturn of van Keken et al. to t = 300: greatest v_rms and its time",
-        (ours, other),
-        (seconds, theirs["total_s"]),
-        (engine.grid.spaces.unknowns, PEERS["van_keken"]["unknowns"]),
-    )
+    for theirs in PEERS["van_keken"]["rows"]:
+        for what, ours, other, exact in (
+            ("greatest v_rms", peak, theirs["peak_v_rms"], PEAK),
+            ("time of the greatest v_rms", when, theirs["at"], PEAK_AT),
+        ):
+            yield Match(
+                f"overturn of van Keken et al. to t = 300, {what}, beside {theirs['how']}",
+                (ours / exact - 1, other / exact - 1),
+                (seconds, theirs["total_s"]),
+                (engine.grid.spaces.unknowns, PEERS["van_keken"]["unknowns"]),
+            )
