@@ -232,8 +232,8 @@ VORTEX_HALF = {
 }
 
 
-# Greatest velocity near the contact of the waves above over that of linear theory, less one; eta2 of
-# 1e20, 1e21 and 1e23 Pa s. From the same exact Stokes flow.
+# Greatest velocity near the contact of the waves above over that of linear theory, less one; eta2
+# of 1e20, 1e21 and 1e23 Pa s. From the same exact Stokes flow.
 RAMBERG_GREATEST = {
     64000.0: (-0.006909, -0.009749, -0.005772),
     128000.0: (-0.002255, -0.002588, -0.002171),
