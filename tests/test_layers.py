@@ -10,7 +10,18 @@ ROOT = Path(__file__).parents[1]
 
 ORDER = {
     "forms": ["elements", "rheology", "stokes", "surface", "mesh_motion"],
-    "meshes": ["data", "box", "arrays", "split", "refine", "noding", "curves", "chains", "section"],
+    "meshes": [
+        "data",
+        "box",
+        "arrays",
+        "dealt",
+        "split",
+        "refine",
+        "noding",
+        "curves",
+        "chains",
+        "section",
+    ],
     "restoration": [
         "errors",
         "words",
@@ -44,8 +55,10 @@ ORDER = {
         "plan",
         "seeding",
         "layered",
+        "ranks",
         "spaces",
         "particles",
+        "sharing",
         "inflow",
         "line_rock",
         "transfer",
@@ -58,6 +71,7 @@ ORDER = {
         "stokes",
         "snapshot",
         "surface",
+        "shared_stokes",
         "contacts",
         "grid",
         "guard",
