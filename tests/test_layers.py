@@ -51,6 +51,7 @@ ORDER = {
         "stopping",
         "resolve",
         "environment",
+        "launch",
         "advection",
         "plan",
         "seeding",
