@@ -77,6 +77,8 @@ class StokesEngine:
         notes: what has happened that whoever reads the results should know, lines of text.
     """
 
+    make_mesher = Mesher  # of a scene
+
     def __init__(self, scene):
         self.seconds = dict.fromkeys(PARTS, 0.0)
         self.scene, self.counts = scene, Counts()
@@ -92,7 +94,7 @@ class StokesEngine:
         self.spacing = np.sqrt(scene.outline.area / (4 * np.prod(scene.cells)))
         self.spacing /= np.sqrt(scene.particles.per_cell)
         with self.timed("setup"):
-            self.mesher = Mesher(scene)
+            self.mesher = self.make_mesher(scene)
             self.cell_size = self.mesher.finest
             lines = self._first_lines()
             try:
