@@ -90,4 +90,4 @@ def _layers(tree):
 
 
 def _told(values):
-    return listed([str(value).lower() for value in values if value is not False] or ["false"])
+    return listed([value for value in values if value is not False] or ["false"])

@@ -1,5 +1,6 @@
 """The fields of one instant as plain arrays, ready for a file."""
 
+import numpy as np
 from dolfinx import fem
 
 from forms.stokes import second_invariant
@@ -12,6 +13,7 @@ VTK_NODES = {
     "quadrilateral": [0, 1, 3, 2, 4, 6, 7, 5, 8],
     "tetrahedron": [0, 1, 2, 3, 9, 6, 8, 7, 5, 4],
 }
+TURNED = [0, 2, 1, 3, 6, 5, 4, 7, 9, 8]  # of a tetrahedron, with its corners 1 and 2 exchanged
 
 
 class FieldSnapshot:
@@ -35,6 +37,10 @@ class FieldSnapshot:
         nodal = fem.FunctionSpace(section.mesh, ("Lagrange", 2))
         self.points = nodal.tabulate_dof_coordinates()[:, : self._dim].copy()
         self.cells = nodes(nodal)[:, VTK_NODES[section.cell]]
+        if section.cell == "tetrahedron":  # some are inside out, which their volumes would tell
+            a, b, c = np.moveaxis(section.corners[:, 1:] - section.corners[:, :1], 1, 0)
+            turned = np.einsum("cd,cd->c", np.cross(a, b), c) < 0
+            self.cells[turned] = self.cells[turned][:, TURNED]
         self._vectors = fem.Function(fem.VectorFunctionSpace(section.mesh, ("Lagrange", 2)))
         self._scalars, self._means = fem.Function(nodal), fem.Function(spaces.D)
         self._u, self._p = fem.Function(spaces.V), fem.Function(spaces.Q)
