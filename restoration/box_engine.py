@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from meshes.mirrored import mirrored_box_mesh
+from meshes.body_centred import body_centred_mesh
 from restoration.engine import StokesEngine
 from restoration.lines import with_points
 from restoration.particles import relocate
@@ -24,7 +24,7 @@ class BoxMesher:
     def __init__(self, scene):
         width, length, height = scene.extent
         self.coarsest = self.finest = float(np.cbrt(width * length * height / np.prod(scene.cells)))
-        self._section = mirrored_box_mesh((0, 0, -height), (width, length, 0), scene.cells)
+        self._section = body_centred_mesh((0, 0, -height), (width, length, 0), scene.cells)
 
     def mesh(self, *_):
         """Return the mesh, and None for points in its regions, of which there are none."""

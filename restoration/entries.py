@@ -27,7 +27,7 @@ PRESETS = {
     "balanced": {"cells": 45, "per_cell": 4, "courant": 0.5, "min_steps": 20},
     "fine": {"cells": 90, "per_cell": 4, "courant": 0.5, "min_steps": 40},
 }
-BOX_CELLS = {"draft": 6, "balanced": 10, "fine": 16}  # of the shortest side of a box with a length
+BOX_CELLS = {"draft": 5, "balanced": 8, "fine": 12}  # of the shortest side of a box with a length
 LONGEST = 1e4 * UNITS["time"]["Myr"]  # s, of a march
 HIGHEST = {"velocity": 1.0, "pressure": 1e12, "length": 1e8}  # of walls, SI
 SCHEMES = ("rk4", "rk3", "midpoint", "implicit-midpoint", "paper", "euler")

@@ -83,7 +83,7 @@ class Grid:
         )
         self.sampler = velocity_sampler(self.spaces, scene.particles.velocity)
         self.contacts = None if regions is None else self._contacts(scene, lines)
-        self._share = {"triangle": 4, "quadrilateral": 1, "tetrahedron": 6}[section.cell] * (
+        self._share = {"triangle": 4, "quadrilateral": 1, "tetrahedron": 12}[section.cell] * (
             3 if pair.split else 1
         )
         self._u = fem.Function(self.spaces.V)

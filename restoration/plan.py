@@ -12,11 +12,11 @@ def unknowns(cells, element="P2-P1"):
     """Return cells and unknowns of a mesh of squares, crossed into triangles for most elements.
 
     Args:
-        cells: columns and rows of squares; or cubes along x, y and z, each of six tetrahedra.
+        cells: columns and rows of squares; or cubes along x, y and z.
         element: name of the pair of elements.
     """
     if len(cells) == 3:
-        return _box_unknowns(*cells, element)
+        return _box_unknowns(cells, element)
     across, up = cells
     squares = across * up
     if element.startswith("Q"):
@@ -38,11 +38,13 @@ def unknowns(cells, element="P2-P1"):
     return count, 2 * velocity + pressure
 
 
-def _box_unknowns(x, y, z, element):
-    """Return cells and unknowns of a box of cubes, each of six tetrahedra."""
-    count = 6 * x * y * z
-    vertices = (x + 1) * (y + 1) * (z + 1)
-    faces = 2 * count + 2 * (x * y + y * z + z * x)  # inner ones have two cells
+def _box_unknowns(cells, element):
+    """Return cells and unknowns of a box of cubes, see `meshes.body_centred`."""
+    x, y, z = cells
+    cubes, outside = x * y * z, 2 * (x * y + y * z + z * x)
+    count = 12 * cubes + 2 * outside
+    vertices = (x + 1) * (y + 1) * (z + 1) + cubes + outside
+    faces = 2 * count + 2 * outside  # inner ones have two cells
     edges = vertices + faces - count - 1  # Euler's formula for a ball
     nodes = vertices + edges
     if element == "P2b-P1dg":

@@ -313,7 +313,7 @@ def _too_large(case, cells, tree):
     """Return the faults of a mesh or a cloud beyond what a machine holds."""
     share, squares, names = 4, "squares", "triangles"
     if len(cells) == 3:
-        share, squares, names = 6, "cubes", "tetrahedra"
+        share, squares, names = 12, "cubes", "tetrahedra"
     count = share * prod(cells)
     if count > MOST_CELLS:
         message = f"make {count} {names}; at most {MOST_CELLS} are possible"

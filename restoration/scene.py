@@ -410,7 +410,7 @@ class Scene:
         walls: wall by name, one for each of `WALLS`, in three dimensions of `BOX_WALLS`.
         gravity: acceleration downwards, m/s^2.
         cells: mesh columns and rows of squares; each becomes four triangles or a quadrilateral. In
-            three dimensions cubes along x, y and z, each of six tetrahedra.
+            three dimensions cubes along x, y and z, each of twelve tetrahedra.
         particles, transfer, time, output: the plans.
         cloud: the particles where the case gives them, else None.
         notes: remarks on the input for the user, such as slivers that were closed.

@@ -98,7 +98,7 @@ def _lattice(scene):
     cells, count = scene.cells, scene.particles.per_cell
     width, *_, height = scene.extent
     if scene.dim == 3:
-        size = (np.prod(scene.extent) / (6 * np.prod(cells) * count)) ** (1 / 3)
+        size = (np.prod(scene.extent) / (12 * np.prod(cells) * count)) ** (1 / 3)
         counts = [max(n, round(side / size)) for n, side in zip(cells, scene.extent, strict=True)]
         return tuple(counts[::-1])
     count *= 4 * cells[0] * cells[1]

@@ -13,7 +13,7 @@ ORDER = {
     "meshes": [
         "data",
         "box",
-        "mirrored",
+        "body_centred",
         "arrays",
         "split",
         "refine",

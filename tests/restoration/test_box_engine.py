@@ -64,10 +64,13 @@ def begun(scene):
     return engine, engine.with_flow(engine.start())
 
 
-@pytest.mark.parametrize("viscosity", ["1e19", "1e18"])
-def test_a_wave_grows_as_linear_theory_says(scene, viscosity):
-    """By k = sqrt(kx^2 + ky^2), as a wave of two dimensions does; quadratic cells of 0.6 km."""
-    found = scene(cells=[6, 6, 8], element="P2b-P1dg", densify=20, viscosity=viscosity)
+@pytest.mark.parametrize(
+    ("element", "viscosity", "off"),
+    [("P2-P1", "1e19", 0.03), ("P2-P1", "1e18", 0.1), ("P2b-P1dg", "1e19", 0.03)],
+)
+def test_a_wave_grows_as_linear_theory_says(scene, element, viscosity, off):
+    """By k = sqrt(kx^2 + ky^2), as a wave of two dimensions does; cubes of 0.8 km."""
+    found = scene(cells=[6, 6, 6], element=element, densify=20, viscosity=viscosity)
     engine, state = begun(found)
     points, k = found.sheets[0].points, np.pi / 10e3
     mode = np.cos(k * points[:, 0]) * np.cos(k * points[:, 1])
@@ -78,7 +81,7 @@ def test_a_wave_grows_as_linear_theory_says(scene, viscosity):
     rate = moved / np.average(200 * mode**2, weights=weight.ravel())
     layers = [Layer(1500.0, 2150.0, float(viscosity)), Layer(3500.0, 2600.0, 1e19)]
     (exact,) = rates(layers, np.sqrt(2) * k, 9.81, "no-slip", "free-slip")
-    assert rate == pytest.approx(exact, rel=0.06)
+    assert rate == pytest.approx(exact, rel=off)
 
 
 def test_x_and_y_are_alike(scene):
@@ -100,8 +103,8 @@ def test_x_and_y_are_alike(scene):
 @pytest.mark.slow
 def test_what_does_not_vary_along_y_is_a_section(scene):
     """The horizon of a section of two dimensions, after 1 Myr."""
-    entries = {"width": 7, "wave": 14, "wave_y": "", "element": "P2b-P1dg", "densify": 20}
-    deep = scene(**entries, length="length: 1.75 km,", cells=[8, 2, 8])
+    entries = {"width": 7, "wave": 14, "wave_y": "", "densify": 20}
+    deep = scene(**entries, length="length: 1.75 km,", cells=[8, 2, 6])
     flat = scene(**entries, length="", cells=[24, 18])
     ends = []
     for engine in (BoxEngine(deep), StokesEngine(flat)):

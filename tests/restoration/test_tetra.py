@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from dolfinx import fem
 
+from meshes.body_centred import body_centred_mesh
 from meshes.box import box_mesh
-from meshes.mirrored import mirrored_box_mesh
 from restoration.particles import OUTSIDE, CellIndex
 from restoration.sampling import VelocitySampler
 from restoration.scene import Transfer
@@ -17,14 +17,14 @@ from restoration.transfer import RockFields
 LOW, HIGH = np.array([0, 0, -3.0]), np.array([4, 2, 0.0])
 
 
-@pytest.fixture(scope="module", params=[box_mesh, mirrored_box_mesh])
+@pytest.fixture(scope="module", params=[box_mesh, body_centred_mesh])
 def index(request):
     return CellIndex(request.param(LOW, HIGH, (5, 3, 4)))
 
 
 @pytest.fixture(scope="module")
 def section():
-    return mirrored_box_mesh(LOW, HIGH, (4, 2, 3))
+    return body_centred_mesh(LOW, HIGH, (4, 2, 3))
 
 
 def scattered(n=4000):
