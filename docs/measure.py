@@ -19,7 +19,7 @@ from restoration.diagnostics import line_distances, there_and_back, volume_by_ro
 from restoration.engine import StokesEngine
 from restoration.environment import use_jit_cache
 from restoration.lines import as_drawn
-from restoration.particles import empty_cells, fill_cells
+from restoration.particles import born_in, empty_cells, joined
 from restoration.resolve import load
 from restoration.run import march
 from restoration.units import YEAR
@@ -36,7 +36,7 @@ class BirthsEverywhere(StokesEngine):
 
     def _settled(self, particles):
         empty = empty_cells(particles, len(self.grid.index.area))
-        return fill_cells(particles, self.grid.index, empty)
+        return joined(particles, born_in(empty, particles, self.grid.index))
 
 
 def journey(case, *overrides, engine=StokesEngine):

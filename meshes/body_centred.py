@@ -11,7 +11,7 @@ from meshes.data import SectionMesh
 ROUND = np.array([[0, 0], [1, 0], [1, 1], [0, 1]])
 
 
-def body_centred_mesh(low, high, cells):
+def body_centred_mesh(low, high, cells, comm=MPI.COMM_WORLD):
     """Return a mesh of a box whose nodes are the corners and the centres of cubes.
 
     The centres of two cubes and an edge of the face between them make a tetrahedron, twelve of
@@ -24,8 +24,9 @@ def body_centred_mesh(low, high, cells):
     Args:
         low, high: opposite corners, shape (3,), m.
         cells: cubes along x, y and z.
+        comm: MPI communicator of the ranks that share it.
     """
-    comm, low, high = MPI.COMM_WORLD, np.asarray(low, float), np.asarray(high, float)
+    low, high = np.asarray(low, float), np.asarray(high, float)
     x, tetrahedra = np.empty((0, 3)), np.empty((0, 4), np.int64)
     if comm.rank == 0:
         nodes, tetrahedra = _tetrahedra(np.asarray(cells))

@@ -15,7 +15,7 @@ NEAR = 1e-9  # of a width, a point this near to a wall is on it
 GHOSTS = dmesh.GhostMode.shared_facet
 
 
-def section_mesh(surface, base, cells, cell="triangle", air=None):
+def section_mesh(surface, base, cells, cell="triangle", air=None, comm=MPI.COMM_WORLD):
     """Return a mesh of columns between two lines, and of the air above them if it is wanted.
 
     Every square is split into four triangles, or is one quadrilateral. The crossed pattern has no
@@ -28,11 +28,12 @@ def section_mesh(surface, base, cells, cell="triangle", air=None):
         cell: ``triangle`` or ``quadrilateral``.
         air: (height of the level top of the air, m, rows of squares in it), or None; the mesh then
             has the regions `ROCK` and `AIR`, and its wall ``surface`` is the top of the air.
+        comm: MPI communicator of the ranks that share it.
     """
     rows = cells[1] + (air[1] if air else 0)
     left, right = surface[0, 0], surface[-1, 0]
     mesh = dmesh.create_rectangle(
-        MPI.COMM_WORLD,
+        comm,
         [np.array([left, 0.0]), np.array([right, 1.0])],
         [cells[0], rows],
         getattr(dmesh.CellType, cell),
@@ -57,17 +58,18 @@ def section_mesh(surface, base, cells, cell="triangle", air=None):
     return SectionMesh(mesh, facet_tags, tags, frozenset({"left", "right"} | level), regions)
 
 
-def box_mesh(low, high, cells, cell="tetrahedron"):
+def box_mesh(low, high, cells, cell="tetrahedron", comm=MPI.COMM_WORLD):
     """Return a mesh of a box in three dimensions; z is up, y from front to back.
 
     Args:
         low, high: opposite corners, shape (3,), m.
         cells: cubes along x, y and z; each is one hexahedron or six tetrahedra.
         cell: ``tetrahedron`` or ``hexahedron``.
+        comm: MPI communicator of the ranks that share it.
     """
     low, high = np.asarray(low, float), np.asarray(high, float)
     mesh = dmesh.create_box(
-        MPI.COMM_WORLD,
+        comm,
         [low, high],
         list(cells),
         getattr(dmesh.CellType, cell),

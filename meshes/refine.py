@@ -9,7 +9,7 @@ from dataclasses import fields, replace
 import numpy as np
 from mpi4py import MPI
 
-from meshes.arrays import NOTHING, Arrays, arrays_of, assembled
+from meshes.arrays import Arrays, arrays_of, assembled, nothing
 
 
 def refined_mesh(section, marked):
@@ -63,7 +63,7 @@ def _whole(section):
 def _dealt(arrays, like):
     """Return the `SectionMesh` of arrays that every rank holds whole."""
     comm, with_regions = like.mesh.comm, like.regions is not None
-    here = NOTHING if comm.rank else arrays
+    here = nothing() if comm.rank else arrays
     return assembled(here, like.wall_tags, like.flat, comm, with_regions)
 
 

@@ -10,7 +10,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import Delaunay
 
-from meshes.arrays import NOTHING, Arrays, assembled
+from meshes.arrays import Arrays, assembled, nothing
 from meshes.box import PLANE_WALLS, WALL_TAGS
 from meshes.curves import SizeField, edges_along
 from meshes.noding import MeshingError, cleaned, joined_pieces, place
@@ -26,7 +26,9 @@ GMSH = {
 }
 
 
-def fitted_mesh(surface, base, lines, size, near=None, grading=0.3, snap=None):
+def fitted_mesh(
+    surface, base, lines, size, near=None, grading=0.3, snap=None, comm=MPI.COMM_WORLD, whole=False
+):
     """Return a mesh of a section with edges along all lines.
 
     Lines may end on walls, on each other or inside, cross, close and coincide in part; what lies
@@ -44,6 +46,8 @@ def fitted_mesh(surface, base, lines, size, near=None, grading=0.3, snap=None):
         grading: growth of the edge length per distance from the lines.
         snap: what is nearer than this is made to meet, m; a millionth of the height if None, at
             most a hundredth of the least ``near``.
+        comm: MPI communicator; its first rank makes the mesh.
+        whole: whether every rank gets the whole mesh, instead of a part.
 
     Returns:
         (`SectionMesh`, points), with the regions between the lines numbered in
@@ -52,7 +56,6 @@ def fitted_mesh(surface, base, lines, size, near=None, grading=0.3, snap=None):
     Raises:
         MeshingError: on all ranks.
     """
-    comm = MPI.COMM_WORLD
     near = np.broadcast_to(np.asarray(size if near is None else near, float), len(lines))
     least = min(near, default=size)
     surface, base = np.asarray(surface, dtype=float), np.asarray(base, dtype=float)
@@ -66,11 +69,13 @@ def fitted_mesh(surface, base, lines, size, near=None, grading=0.3, snap=None):
     failed = comm.bcast(result if isinstance(result, MeshingError) else None)
     if failed:
         raise failed
-    arrays, points = result or (NOTHING, None)
+    arrays, points = result or (nothing(), None)
     level = {name for name, y in (("surface", surface), ("base", base)) if np.ptp(y[:, 1]) == 0}
     tags = {name: WALL_TAGS[name] for name in PLANE_WALLS}
-    section = assembled(arrays, tags, frozenset({"left", "right"} | level), comm)
-    return section, comm.bcast(points)
+    flat = frozenset({"left", "right"} | level)
+    if whole and comm.size > 1:
+        return assembled(comm.bcast(arrays), tags, flat, MPI.COMM_SELF), comm.bcast(points)
+    return assembled(arrays, tags, flat, comm), comm.bcast(points)
 
 
 def _arrays(surface, base, lines, sizes, snap):

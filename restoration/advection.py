@@ -61,7 +61,14 @@ def rk4(x, velocity, dt):
     return x + dt / 6 * total
 
 
-def implicit_midpoint(x, velocity, dt, tolerance=TOLERANCE):
+def _alone(values):
+    """Return what all ranks have together of what this one has, where there is one."""
+    return values
+
+
+def implicit_midpoint(
+    x, velocity, dt, tolerance=TOLERANCE, own=slice(None), most=_alone, total=_alone
+):
     """Advance points by one implicit midpoint step (second order, time-symmetric).
 
     The step back from where it leads, by ``-dt``, is its inverse, up to the tolerance. The middle y
@@ -73,6 +80,9 @@ def implicit_midpoint(x, velocity, dt, tolerance=TOLERANCE):
         velocity: function of positions.
         dt: signed step, s.
         tolerance: greatest move of any point in an iteration at which it ends, m.
+        own: rows that count as this rank's; the others are another's too.
+        most, total: of an array, the greatest and the sum over the ranks, which all go through
+            the same iterations.
 
     Raises:
         SolveError: the iteration does not converge: the step is too long.
@@ -82,25 +92,26 @@ def implicit_midpoint(x, velocity, dt, tolerance=TOLERANCE):
     for _ in range(MOST_ITERATIONS):
         image = x + 0.5 * dt * velocity(y)
         gap = image - y
-        off = 2 * np.abs(gap).max()  # the end of the step moves twice as far as its middle
+        off = np.abs(gap[own]).max(initial=0.0)
+        off = 2 * float(most(np.array(off)))  # the end of the step moves twice as far as its middle
         if off <= tolerance:
             return 2 * image - x
         images, gaps = [*images[-DEPTH:], image], [*gaps[-DEPTH:], gap]
-        y = _accelerated(images, gaps)
+        y = _accelerated(images, gaps, own, total)
     raise SolveError(
         f"the implicit midpoint step does not settle: points still move by {off:.2g} m after "
         f"{MOST_ITERATIONS} iterations; take shorter steps (time.courant, time.min_steps)"
     )
 
 
-def _accelerated(images, gaps):
+def _accelerated(images, gaps, own, total):
     """Return the next iterate: of the combinations of the last ones that with the least gap."""
     if len(gaps) == 1:
         return images[0]
-    turns = np.stack([(later - gap).ravel() for gap, later in pairwise(gaps)])
+    turns = np.stack([(later - gap)[own].ravel() for gap, later in pairwise(gaps)])
     # by the normal equations: three columns of as many rows as there are points
-    gram = turns @ turns.T
-    share = np.linalg.lstsq(gram, turns @ gaps[-1].ravel(), rcond=1e-12)[0]
+    products = total(turns @ np.vstack([turns, gaps[-1][own].ravel()]).T)
+    share = np.linalg.lstsq(products[:, :-1], products[:, -1], rcond=1e-12)[0]
     moves = (b - a for a, b in pairwise(images))
     return images[-1] - sum(s * move for s, move in zip(share, moves, strict=True))
 

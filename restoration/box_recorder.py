@@ -24,26 +24,22 @@ class BoxRecorder(Recorder):
         super().__init__(job, folder, progress, BoxEngine)
         self.horizons = None
 
-    def begin(self):
-        """Make the engine and open the files."""
-        super().begin()
-        self.horizons = MeshSeries(self.folder / "horizons.xdmf", {"names": self._names()})
-
     def compare(self):
         """Compare the marks, and draw them side by side and against where the run began."""
         figures, shots = self.folder / "figures", self._shots(self._marks)
-        draw_box(figures / "strip.png", shots)
+        self.ranks.alone(draw_box, figures / "strip.png", shots)
         found = compared(self._marks, self._volumes, sheet_distances)
         self.record |= found
         if "there_and_back" in found:
             last = self._marks[-1]
             start = replace(shots[0], x=last.particles.start, unit=last.particles.unit)
-            draw_box_return(
-                figures / "there-and-back.png", start, shots[-1], found["there_and_back"]
-            )
+            path = figures / "there-and-back.png"
+            self.ranks.alone(draw_box_return, path, start, shots[-1], found["there_and_back"])
 
-    def _names(self):
-        return [sheet.name for sheet in self.scene.sheets]
+    def _open_series(self):
+        super()._open_series()
+        names = [sheet.name for sheet in self.scene.sheets]
+        self.horizons = MeshSeries(self.folder / "horizons.xdmf", {"names": names})
 
     def _shots(self, states):
         befores = [None, *(state.time for state in states)]
@@ -69,10 +65,11 @@ class BoxRecorder(Recorder):
         """Draw a cut and a map at a mark."""
         shots = self._shots([state])
         label = time_text(self.scene, state.time, before)
-        draw_box(self.folder / "figures" / f"section-{name}.png", [replace(shots[0], label=label)])
+        path = self.folder / "figures" / f"section-{name}.png"
+        self.ranks.alone(draw_box, path, [replace(shots[0], label=label)])
 
-    def _frame(self, state):
-        super()._frame(state)
+    def _write_frame(self, state):
+        super()._write_frame(state)
         if state.lines:
             points, cells, sheet = joined(state.lines)
             data = {"horizon": sheet}

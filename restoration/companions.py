@@ -18,6 +18,7 @@ from scipy.spatial import cKDTree
 from restoration.diagnostics import line_distances, summary
 from restoration.errors import MeshError, SolveError, TooLargeError
 from restoration.lines import as_drawn, points_of, surface_of, with_points
+from restoration.particles import subset
 from restoration.scene import Outline
 from restoration.shapes import on_columns
 
@@ -59,6 +60,7 @@ class Follower:
 
     Args:
         scene: `scene.Scene`.
+        whole: maps a state to one with the particles of all ranks.
 
     Attributes:
         states: `State` of the given section, then of every instant passed; without flows.
@@ -66,8 +68,9 @@ class Follower:
         ends: model times where it begins and ends, s; None where nothing is restored.
     """
 
-    def __init__(self, scene):
+    def __init__(self, scene, whole=lambda state: state):
         self.scene, self.states, self.steps = scene, [], 0
+        self._whole = whole
         self._last_seen = None
         way = way_back(scene.time.marks)
         self._begin = way[0] if way else None
@@ -112,7 +115,7 @@ class Follower:
         return True
 
     def _keep(self, state):
-        self.states.append(replace(state, flow=None, grid=None))
+        self.states.append(replace(self._whole(state), flow=None, grid=None))
         ahead = self._instants[self._instants < state.time - 1e-9 * np.ptp(self._instants)]
         self._next = ahead[0] if len(ahead) else self.ends[1]
 
@@ -190,6 +193,7 @@ class Companion:
         steps = max(1, round(abs(until - state.time) / self._step))
         plan = replace(self._scene.time, marks=(state.time, until), min_steps=steps)
         after = self._march(self.engine.taken_over(state), self.engine, plan, self._every)
+        after = self.engine.whole(after)
         self.seconds += time.perf_counter() - begin
         return after
 
@@ -436,12 +440,6 @@ def thinned(states):
         particles = subset(state.particles, np.r_[rows[rows >= 0], later])
         found.append(replace(state, particles=particles))
     return found
-
-
-def subset(particles, rows):
-    """Return some of the particles."""
-    names = type(particles).__dataclass_fields__
-    return replace(particles, **{name: getattr(particles, name)[rows] for name in names})
 
 
 def prove(follower, end, make_engine, march, check=None):

@@ -24,14 +24,16 @@ from restoration.lines import begin, most_vertices, refined, surface_of, with_po
 from restoration.mesher import Mesher
 from restoration.particles import (
     OUTSIDE,
+    born_in,
     empty_cells,
-    fill_cells,
     held_inside,
     relocate,
     seed,
 )
 from restoration.plan import active, time_label
+from restoration.ranks import world
 from restoration.scene import WALLS, Line, Outline
+from restoration.sharing import Sharing
 from restoration.state import State
 from restoration.step import Step
 from restoration.stokes import Counts
@@ -55,8 +57,11 @@ class StokesEngine:
 
     Args:
         scene: `scene.Scene`.
+        ranks: `ranks.Ranks` that share the work; None for all that the program was started on.
 
     Attributes:
+        ranks: these.
+        sharing: `sharing.Sharing` of the particles.
         counts: solves, factorisations, worst residual.
         born: particles born so far to fill cells.
         empty_cells: cells without a particle after the last step; their rock is read from the
@@ -77,9 +82,11 @@ class StokesEngine:
         notes: what has happened that whoever reads the results should know, lines of text.
     """
 
-    make_mesher = Mesher  # of a scene
+    make_mesher = Mesher  # of a scene and the ranks
 
-    def __init__(self, scene):
+    def __init__(self, scene, ranks=None):
+        self.ranks = ranks or world()
+        self.sharing = Sharing(self.ranks)
         self.seconds = dict.fromkeys(PARTS, 0.0)
         self.scene, self.counts = scene, Counts()
         self.meshes, self.grid = 0, None
@@ -94,7 +101,7 @@ class StokesEngine:
         self.spacing = np.sqrt(scene.outline.area / (4 * np.prod(scene.cells)))
         self.spacing /= np.sqrt(scene.particles.per_cell)
         with self.timed("setup"):
-            self.mesher = self.make_mesher(scene)
+            self.mesher = self.make_mesher(scene, self.ranks)
             self.cell_size = self.mesher.finest
             lines = self._first_lines()
             try:
@@ -148,14 +155,16 @@ class StokesEngine:
     def numbers(self, state):
         """Return the numbers of a step, as columns of the diagnostics table."""
         rms, greatest = state.grid.speeds(state.flow)
+        particles = state.particles
+        count, lost = self.ranks.sum(np.array([len(particles.x), particles.lost])).tolist()
         return {
             "stokes_solves": self.counts.solves,
             "residual": state.flow.residual,
             "rms_velocity_m_per_s": rms,
             "max_velocity_m_per_s": greatest,
             "cells": state.grid.section.cell_count,
-            "particles": len(state.particles.x),
-            "particles_lost": state.particles.lost,
+            "particles": count,
+            "particles_lost": lost,
             "particles_born": self.born,
             "particles_left": sum(self.left.values()),
             "particles_entered": sum(self.entered.values()),
@@ -170,13 +179,19 @@ class StokesEngine:
 
     def start(self):
         """Return the state at the first mark."""
-        particles = self._settled(relocate(seed(self.scene), self.grid.index))
+        index = self.grid.index
+        particles = self._settled(self.sharing.dealt(relocate(seed(self.scene), index), index))
         return State(self.scene.time.marks[0], particles, self._first_lines(), grid=self.grid)
 
     def taken_over(self, state):
         """Return the state of another engine, on another mesh, as one of this."""
-        particles = relocate(self._nowhere(state.particles), self.grid.index)
-        return State(state.time, particles, state.lines)
+        index = self.grid.index
+        particles = relocate(self._nowhere(state.particles), index)
+        return State(state.time, self.sharing.dealt(particles, index), state.lines)
+
+    def whole(self, state):
+        """Return the state with the particles of all ranks, in the order of the whole cloud."""
+        return replace(state, particles=self.sharing.whole(state.particles))
 
     def _first_lines(self):
         lines = begin(self.scene.lines, self.cell_size / LINE_POINTS_PER_CELL)
@@ -189,7 +204,7 @@ class StokesEngine:
         """Go on with a new mesh, which follows the surface or, fitted, the lines."""
         if self.grid is not None:
             self.grid.stokes.release()
-        self.grid = Grid(self.scene, section, self.counts, regions, lines)
+        self.grid = Grid(self.scene, section, self.counts, regions, lines, self.ranks)
         self.meshes += 1
         line = surface_of(lines)
         if regions is not None:
@@ -230,6 +245,8 @@ class StokesEngine:
             particles = self._adapt(particles, state.lines)
         else:
             particles = self._carried(particles, state.lines)
+        with self.timed("advect"):
+            particles = self.sharing.migrated(particles, self.grid.index)
         self._last_flow = self.solve(particles, state.time, state.lines)
         return replace(state, particles=particles, flow=self._last_flow, grid=self.grid)
 
@@ -320,7 +337,8 @@ class StokesEngine:
             f"{str(error).partition('; let particles')[0]}"
         )
         self.scene = replace(self.scene, mesh=replace(self.scene.mesh, interfaces="particles"))
-        self.fitted, self.mesher, self._last_flow = False, Mesher(self.scene), None
+        self.mesher = Mesher(self.scene, self.ranks)
+        self.fitted, self._last_flow = False, None
 
     def _advanced(self, state, until):
         slaving = self.surface and self.surface.slaving
@@ -374,7 +392,7 @@ class StokesEngine:
         move, x, until = self._controlled(state, until, scheme, slaving)
         dt, state = until - state.time, move.state
         with self.timed("advect"):
-            moved = move.parts(self._on_walls(x[: move.fixed]))
+            moved = move.parts(self._on_walls(x[: move.fixed], move.particles))
             rows = with_points(state.lines, moved["lines"])
             lines = self.with_ends(state.lines, rows)
             most = most_vertices(self.section.cell_count)
@@ -386,6 +404,7 @@ class StokesEngine:
                 dt,
                 most,
             )
+            lines = self.ranks.same(lines)  # rounding must not part what the ranks hold
             self._note_folded(lines, until, most)
         if self.surface:
             lines, fallen = without_cliffs(lines, MOST_FALLEN * self.start_area, self.cell_size)
@@ -464,10 +483,11 @@ class StokesEngine:
         outline = self.outline(lines)
         particles, out = cast_off(particles, outline, self.open)
         for name in sorted(self.open):
-            self.left[name] += out[name]
-            before = len(particles.x)
-            particles = flowed_in(particles, name, outline, moved[name], self.spacing)
-            self.entered[name] += len(particles.x) - before
+            self.left[name] += int(self.ranks.sum(np.array(out[name])))
+            born = flowed_in(particles, name, outline, moved[name], self.spacing, self.ranks)
+            if born is not None:
+                self.entered[name] += len(born.x)
+                particles = self.sharing.with_newborn(particles, born)
         return particles
 
     def _on_equilibrium(self, state, settlings):
@@ -520,7 +540,7 @@ class StokesEngine:
         if self.fitted:  # the cells know their rock
             return particles
         index = self.grid.index
-        empty = empty_cells(particles, len(index.area))
+        empty = empty_cells(particles, len(index.area), self.ranks)
         empty = empty[~self.grid.fields.in_air[empty]]
         self.empty_cells = len(empty)
         if len(empty):
@@ -533,22 +553,29 @@ class StokesEngine:
                 held = served[nodes].any(axis=1)
             empty = empty[~served[nodes[empty]].all(axis=1)]
         self.born += len(empty)
-        return fill_cells(particles, index, empty)
+        if not len(empty):
+            return particles
+        return self.sharing.with_newborn(particles, born_in(empty, particles, index, self.ranks))
 
     def within(self, x):
         """Return the points with those beyond the frame set onto it; a free surface has none."""
         held = dict.fromkeys(WALLS, True) | {"surface": not self.scene.free}
         return held_inside(x, self.scene.outline, held)[0]
 
-    def _on_walls(self, x):
+    def _on_walls(self, x, particles):
         """Return the points with those that a step carried through a closed wall set back onto it.
 
         No rock crosses such a wall; a step of finite length can, by its own error.
+
+        Args:
+            x: points, shape (n, 2), m.
+            particles: how many of them, the first, are particles of this rank; all have the rest.
         """
         held = {name: name not in self.open for name in WALLS}
         held["surface"] &= not self.scene.free
         inside, count = held_inside(x, self.scene.outline, held)
-        self.held_on_wall += count
+        others = np.count_nonzero((inside[particles:] != x[particles:]).any(axis=1))
+        self.held_on_wall += others + int(self.ranks.sum(np.array(count - others)))
         return inside
 
     @contextmanager

@@ -1,11 +1,11 @@
 """One mesh of a section with all that is made for it: spaces, cells of points, rock, the flow."""
 
+from functools import partial
+
 import numpy as np
 import shapely
 import ufl
 from dolfinx import fem
-from mpi4py import MPI
-from scipy.spatial import cKDTree
 
 from forms.elements import ELEMENTS
 from meshes.box import AIR
@@ -14,7 +14,9 @@ from restoration.conservative import velocity_sampler
 from restoration.contacts import Contacts
 from restoration.line_rock import LineRock
 from restoration.lines import surface_of
-from restoration.particles import CellIndex, relocate
+from restoration.particles import CellIndex, nearest, relocate
+from restoration.ranks import ALONE
+from restoration.shared_stokes import SharedStokes
 from restoration.snapshot import FieldSnapshot
 from restoration.spaces import Spaces
 from restoration.stokes import StokesProblem
@@ -32,6 +34,7 @@ class Grid:
         regions: of a fitted mesh, (particles, points, bands): what tells the unit of every region,
             see `units_of_regions`; None where particles carry the rock.
         lines: `lines.MovingLine`s of a fitted mesh, as it was made for them.
+        ranks: `ranks.Ranks`, that hold the mesh whole each and solve on it together.
 
     Attributes:
         section, spaces, index, fields, stokes, sampler: the parts.
@@ -39,7 +42,8 @@ class Grid:
         contacts: `Contacts` of a fitted mesh, else None.
     """
 
-    def __init__(self, scene, section, counts=None, regions=None, lines=()):
+    def __init__(self, scene, section, counts=None, regions=None, lines=(), ranks=ALONE):
+        self._ranks = ranks
         pair = ELEMENTS[scene.mesh.element]
         section = barycentric_mesh(section) if pair.split else section
         air = scene.air
@@ -57,15 +61,17 @@ class Grid:
                 scene.transfer,
                 air and (air.density, air.viscosity / self.eta0),
                 self._line_rock(scene),
+                ranks,
             )
         else:
-            unit = units_of_regions(section, self.index, *regions, scene)
+            unit = units_of_regions(section, self.index, *regions, scene, ranks)
             self.fields = FittedFields(self.spaces, density, viscosity, unit[section.regions])
         self.top = None
         if scene.free:
             motion = scene.surface.motion
             self.top = Top(section, self.spaces, self.index, motion, air is not None)
-        self.stokes = StokesProblem(
+        problem = partial(SharedStokes, ranks) if ranks.several else StokesProblem
+        self.stokes = problem(
             section,
             self.spaces,
             self.fields.density,
@@ -77,9 +83,9 @@ class Grid:
             scene.one_viscosity and not scene.free and regions is None,
             scene.solver,
             counts,
-            self.top,
-            self.fields.on_facets,
-            scene.one_viscosity or regions is not None,
+            top=self.top,
+            on_facets=self.fields.on_facets,
+            follows=scene.one_viscosity or regions is not None,
         )
         self.sampler = velocity_sampler(self.spaces, scene.particles.velocity)
         self.contacts = None if regions is None else self._contacts(scene, lines)
@@ -98,7 +104,7 @@ class Grid:
         rock = np.ones(len(self.index.area), bool)
         if scene.air:
             rock = self.section.regions != AIR
-        return LineRock(scene, self.spaces, self.index, rock)
+        return LineRock(scene, self.spaces, self.index, rock, self._ranks)
 
     @property
     def sizes(self):
@@ -143,11 +149,10 @@ class Grid:
     def speeds(self, flow):
         """Return root mean square and greatest speed of the rock, m/s."""
         self._u.x.array[:] = flow.u.ravel()
-        comm = self.section.mesh.comm
-        squared = comm.allreduce(fem.assemble_scalar(self._squared), op=MPI.SUM)
+        squared = fem.assemble_scalar(self._squared)
         rock = ~self.fields.in_air
         nodes = np.unique(self.spaces.v_nodes[rock])
-        greatest = comm.allreduce(float((flow.u[nodes] ** 2).sum(axis=1).max()), op=MPI.MAX)
+        greatest = (flow.u[nodes] ** 2).sum(axis=1).max()
         area = self.section.area if rock.all() else self.index.area[rock].sum()
         return float(np.sqrt(squared / area)), float(np.sqrt(greatest))
 
@@ -164,7 +169,7 @@ class Grid:
         return self._snapshot
 
 
-def units_of_regions(section, index, particles, points, bands, scene):
+def units_of_regions(section, index, particles, points, bands, scene, ranks):
     """Return the unit of every region of a fitted mesh: that of most of its particles.
 
     The bands of faults are known by their edges: the few particles in a sliver of one tell less.
@@ -176,6 +181,7 @@ def units_of_regions(section, index, particles, points, bands, scene):
         points: a point in every region, shape (regions, 2), m.
         bands: areas of the faults by name, see `bands.areas`.
         scene: `scene.Scene`.
+        ranks: `ranks.Ranks` that have some of the particles each.
     """
     if particles is None:
         return scene.unit_at(points)
@@ -184,14 +190,16 @@ def units_of_regions(section, index, particles, points, bands, scene):
     votes = np.zeros((len(points), len(scene.units)))
     at = section.regions[particles.cell[inside]], particles.unit[inside]
     np.add.at(votes, at, particles.area[inside])
+    votes = ranks.sum(votes)
     of_faults = [fault.unit for fault in scene.faults]
     votes[:, of_faults] = 0
     unit = votes.argmax(axis=1)
     silent = np.flatnonzero(votes.sum(axis=1) == 0)
     if len(silent):  # thinner than the particles are apart
         telling = np.flatnonzero(~np.isin(particles.unit[inside], of_faults))
-        tree = cKDTree(particles.x[inside][telling])
-        unit[silent] = particles.unit[inside][telling[tree.query(points[silent])[1]]]
+        distance, row = nearest(particles.x[inside][telling], points[silent])
+        own = particles.unit[inside][telling[row]] if len(telling) else np.zeros(len(silent))
+        unit[silent] = ranks.of_least(distance, own)[1]
     for fault in scene.faults:  # where they cross, the later one is on top
         if fault.name in bands:
             unit[shapely.contains_xy(bands[fault.name], *points.T)] = fault.unit

@@ -7,11 +7,11 @@ front of it, so that many small steps fill it as a few large ones do.
 from dataclasses import replace
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from restoration.errors import ParticleError
 from restoration.lines import with_rows
-from restoration.particles import OUTSIDE, Particles, joined
+from restoration.particles import NONE_LEFT, OUTSIDE, Particles, nearest, subset
+from restoration.ranks import ALONE
 from restoration.scene import WALLS
 
 ALMOST = 0.95  # of a spacing that a row lacks before a particle is born there
@@ -45,11 +45,11 @@ def cast_off(particles, outline, walls=WALLS):
         gone = (_depth(particles.x, name, outline) < 0) & ~left
         out[name] = int(np.count_nonzero(gone))
         left |= gone
-    return (_kept(particles, ~left) if left.any() else particles), out
+    return (subset(particles, ~left) if left.any() else particles), out
 
 
-def flowed_in(particles, name, outline, moved, spacing):
-    """Return the particles with those of the rock that flowed in through a wall in a step.
+def flowed_in(particles, name, outline, moved, spacing, ranks=ALONE):
+    """Return new particles of the rock that flowed in through a wall in a step.
 
     The strip is cut into rows across the wall, a spacing wide. What a row lacks reaches from the
     share of its first particle to the wall: from there on a particle is born for every whole
@@ -64,9 +64,10 @@ def flowed_in(particles, name, outline, moved, spacing):
         moved: where points that stood close together on the wall before the step are now, shape
             (m, 2), m, in order along the wall.
         spacing: of the particles, m.
+        ranks: `ranks.Ranks`; every one has some of the particles, and gets all of the newborn.
 
     Returns:
-        The particles, the newborn last, in no cell yet and with a ``start`` of NaN.
+        The newborn `Particles`, in no cell yet and with a ``start`` of NaN; None of no one.
 
     Raises:
         ParticleError: no particle is left that could tell the rock.
@@ -77,27 +78,27 @@ def flowed_in(particles, name, outline, moved, spacing):
     middle = (np.arange(rows) + 0.5) * width
     thickness = _thickness(name, outline, moved, middle)
     if not (thickness > 0).any():
-        return particles
-    if not len(particles.x):
-        raise ParticleError("no particle is left inside the section; check the boundary velocities")
-    lack = _lack(particles, name, outline, rows, width, spacing)
+        return None
+    if not ranks.any(len(particles.x)):
+        raise ParticleError(NONE_LEFT)
+    lack = ranks.least(_lack(particles, name, outline, rows, width, spacing))
     lack = np.where(thickness > 0, np.minimum(lack, thickness + DEEPEST * spacing), 0.0)
     count = np.maximum(0, np.floor(lack / spacing + 1 - ALMOST)).astype(int)
     size = np.minimum(spacing, lack / np.maximum(count, 1))
     row = np.repeat(np.arange(rows), count)
     number = np.arange(len(row)) - np.repeat(np.r_[0, np.cumsum(count)[:-1]], count)
     x = _place(name, outline, lack[row] - (number + 0.5) * size[row], middle[row])
-    near = cKDTree(particles.x).query(x)[0] if len(x) else np.empty(0)
+    near = ranks.least(nearest(particles.x, x)[0])
     inside = np.all([_depth(x, wall, outline) > 0 for wall in WALLS], axis=0)
     born = (near >= NEAREST * spacing) & inside
     x, row = x[born], row[born]
     if not len(x):
-        return particles
+        return None
     share = (count / np.maximum(1, np.bincount(row, minlength=rows)))[row]  # of those not born too
     area = share * size[row] * width * _stretch(x, name, outline)
     nowhere = np.full(len(x), OUTSIDE, np.int32)
-    unit = _layer(particles, name, x)
-    return joined(particles, Particles(x, unit, area, np.full_like(x, np.nan), nowhere))
+    unit = _layer(particles, name, x, ranks)
+    return Particles(x, unit, area, np.full_like(x, np.nan), nowhere)
 
 
 def with_ends(before, lines, edges, walls, spacing):
@@ -123,15 +124,12 @@ def with_ends(before, lines, edges, walls, spacing):
     return tuple(kept)
 
 
-def _kept(particles, keep):
-    names = Particles.__dataclass_fields__
-    return replace(particles, **{name: getattr(particles, name)[keep] for name in names})
-
-
-def _layer(particles, name, x):
+def _layer(particles, name, x, ranks):
     """Return the unit of every point: that of the nearest particle, near across the wall or not."""
     scale = (ACROSS, 1.0) if name in ("left", "right") else (1.0, ACROSS)
-    return particles.unit[cKDTree(particles.x * scale).query(x * scale)[1]]
+    distance, row = nearest(particles.x * scale, x * scale)
+    unit = particles.unit[row] if len(particles.x) else np.zeros(len(x), particles.unit.dtype)
+    return ranks.of_least(distance, unit)[1]
 
 
 def _ends(x, outline):

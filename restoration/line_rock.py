@@ -22,6 +22,8 @@ import numpy as np
 from scipy.sparse import coo_matrix, csr_matrix
 from scipy.sparse.csgraph import connected_components
 
+from restoration.ranks import ALONE
+
 ON_WALL = 1e-9  # slack of the hats of a point on a wall
 UNKNOWN = -2  # cell of a point that nobody had to know
 SAMPLES = 64  # segments of a drawn line that are asked for the rock beside them
@@ -56,9 +58,11 @@ class LineRock:
         scene: `scene.Scene`; its lines in motion keep their order, but some may be gone.
         spaces, index: `Spaces` and `CellIndex` of the mesh.
         rock: which cells are of the section and not of the air, shape (cells,), bool.
+        ranks: `ranks.Ranks` that have some of the particles each.
     """
 
-    def __init__(self, scene, spaces, index, rock):
+    def __init__(self, scene, spaces, index, rock, ranks=ALONE):
+        self._ranks = ranks
         self._sides, self._units = sides_of(scene), len(scene.units)
         self._index, self._rock = index, rock
         self._nodes = np.asarray(spaces.h_nodes, np.int64)
@@ -130,6 +134,7 @@ class LineRock:
             return of_part
         by_particles = np.zeros((n, self._units))
         _told_by_particles(*particles, self._nodes, by_particles)
+        by_particles = self._ranks.sum(by_particles)
         of_silent = _sums(part, by_particles, count).argmax(axis=1)[part]
         of_torn = np.where(by_particles.any(axis=1), by_particles.argmax(axis=1), of_part)
         of_torn = np.where(sure, unit, of_torn)

@@ -3,6 +3,7 @@
 import numpy as np
 import ufl
 from dolfinx import fem
+from mpi4py import MPI
 from scipy.spatial import cKDTree
 from shapely.errors import ShapelyError
 
@@ -14,6 +15,7 @@ from restoration.bands import areas, distance_to, mesh_lines, section_of
 from restoration.errors import MeshError
 from restoration.lines import spaced, surface_of
 from restoration.particles import OUTSIDE
+from restoration.ranks import ALONE
 from restoration.scene import Outline
 from restoration.seeding import graded
 from restoration.surface import heights_on, standing
@@ -26,13 +28,14 @@ class Mesher:
 
     Args:
         scene: `scene.Scene`.
+        ranks: `ranks.Ranks`; every one gets the whole mesh.
 
     Attributes:
         coarsest, finest: side of the squares that become cells, at their largest and smallest, m.
     """
 
-    def __init__(self, scene):
-        self.scene = scene
+    def __init__(self, scene, ranks=ALONE):
+        self.scene, self._comm = scene, ranks.comm
         outline, plan = scene.outline, scene.mesh
         self.coarsest = float(np.sqrt(outline.area / np.prod(scene.cells)))
         self.finest = self.coarsest / 2 ** (plan.refine.levels if plan.refine else 0)
@@ -84,7 +87,9 @@ class Mesher:
             if air:
                 top = surface[:, 1].max() + air.thickness
                 air = top, max(1, round(air.thickness * self.scene.cells[1] / self._height))
-            self._base = section_mesh(surface, self.scene.outline.base, self.scene.cells, cell, air)
+            self._base = section_mesh(
+                surface, self.scene.outline.base, self.scene.cells, cell, air, MPI.COMM_SELF
+            )
         return self._base
 
     @property
@@ -117,7 +122,10 @@ class Mesher:
         try:
             pieces = mesh_lines(follow, bands, section_of(outline), near)
             follow, near = [points for points, _ in pieces], [size for _, size in pieces]
-            return fitted_mesh(outline.surface, outline.base, follow, share * self.coarsest, near)
+            size = share * self.coarsest
+            return fitted_mesh(
+                outline.surface, outline.base, follow, size, near, comm=self._comm, whole=True
+            )
         except (MeshingError, ShapelyError) as error:
             raise MeshError(
                 f"no mesh follows the horizons any more: {error}; let particles carry the rock "

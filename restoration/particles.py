@@ -7,12 +7,14 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from restoration.errors import ParticleError
+from restoration.ranks import ALONE
 from restoration.seeding import seed_points
 from restoration.tetra import walk as walk_tetrahedra
 
 OUTSIDE = -1
 # Barycentric slack of a point on a facet; far above rounding, far below any visible distance.
 ON_FACET = 1e-10
+NONE_LEFT = "no particle is left inside the section; check the boundary velocities"
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,6 +27,8 @@ class Particles:
         area: part of the section it stands for, shape (n,), m^2.
         start: where it was seeded, shape (n, 2), m; NaN for those born later to fill a cell.
         cell: cell that holds it, shape (n,), int32; OUTSIDE if none.
+        number: its number in the whole cloud, shape (n,), ascending, where ranks share a cloud;
+            None where this is the whole of it.
     """
 
     x: np.ndarray
@@ -32,6 +36,7 @@ class Particles:
     area: np.ndarray
     start: np.ndarray
     cell: np.ndarray
+    number: np.ndarray | None = None
 
     @property
     def inside(self):
@@ -294,39 +299,58 @@ def relocate(particles, index, x=None):
     return replace(particles, x=x, cell=cell)
 
 
-def empty_cells(particles, n_cells):
-    """Return the cells that hold no particle, int32."""
+def empty_cells(particles, n_cells, ranks=ALONE):
+    """Return the cells that hold no particle of any rank, int32."""
     inside = particles.cell[particles.cell != OUTSIDE]
-    return np.flatnonzero(np.bincount(inside, minlength=n_cells) == 0).astype(np.int32)
+    counts = ranks.sum(np.bincount(inside, minlength=n_cells))
+    return np.flatnonzero(counts == 0).astype(np.int32)
 
 
-def fill_cells(particles, index, cells):
-    """Give every one of ``cells`` a particle with the unit of the nearest particle.
+def born_in(cells, particles, index, ranks=ALONE):
+    """Return new particles in ``cells``, with the unit of the nearest particle of any rank.
 
     Args:
-        particles: located `Particles`.
-        index: `CellIndex`.
         cells: cells to fill, int32.
-
-    Returns:
-        The particles, the new ones at the end.
+        particles: located `Particles` of this rank.
+        index: `CellIndex`.
+        ranks: `ranks.Ranks`.
 
     Raises:
         ParticleError: no particle is left in the mesh.
     """
-    if not len(cells):
-        return particles
-    inside = np.flatnonzero(particles.cell != OUTSIDE)
-    if not inside.size:
-        raise ParticleError("no particle is left inside the section; check the boundary velocities")
     centre = index.corners[cells].mean(axis=1)
-    nearest = inside[cKDTree(particles.x[inside]).query(centre)[1]]
-    nowhere = np.full_like(centre, np.nan)
-    born = Particles(centre, particles.unit[nearest], index.area[cells], nowhere, cells)
-    return joined(particles, born)
+    inside = np.flatnonzero(particles.inside)
+    distance, near = nearest(particles.x[inside], centre)
+    unit = particles.unit[inside][near] if inside.size else np.zeros(len(centre), np.int16)
+    distance, unit = ranks.of_least(distance, unit)
+    if np.isinf(distance).any():
+        raise ParticleError(NONE_LEFT)
+    return Particles(centre, unit, index.area[cells], np.full_like(centre, np.nan), cells)
+
+
+def nearest(x, points):
+    """Return distance and row of the nearest of ``x`` for every point; infinite where x is empty.
+
+    Args:
+        x, points: shapes (n, dim) and (m, dim), m.
+    """
+    if not len(x):
+        return np.full(len(points), np.inf), np.zeros(len(points), int)
+    return cKDTree(x).query(points)
 
 
 def joined(one, two):
     """Return the particles of two clouds in one, in order."""
-    names = Particles.__dataclass_fields__
-    return Particles(*(np.concatenate([getattr(one, n), getattr(two, n)]) for n in names))
+    columns = ((getattr(one, n), getattr(two, n)) for n in Particles.__dataclass_fields__)
+    return Particles(*(None if a is None else np.concatenate([a, b]) for a, b in columns))
+
+
+def subset(particles, rows):
+    """Return some of the particles.
+
+    Args:
+        particles: `Particles`.
+        rows: of those, numbers or a mask.
+    """
+    columns = {n: getattr(particles, n) for n in Particles.__dataclass_fields__}
+    return Particles(**{n: None if v is None else v[rows] for n, v in columns.items()})

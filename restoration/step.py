@@ -41,6 +41,8 @@ class Step:
             for name in sorted(engine.open)
         }
         ends = np.cumsum([len(part) for part in rows.values()])
+        first = engine.ranks.first  # all ranks have the lines
+        self._own = slice(None) if first else slice(0, len(state.particles.x))
         self._rows = dict(zip(rows, np.split(np.arange(ends[-1]), ends[:-1]), strict=True))
         self.particles, self.fixed = ends[0], ends[-1]
         surface = engine.surface
@@ -95,13 +97,17 @@ class Step:
             The rows, and what 99 of 100 of them may be off by the difference to the embedded
             scheme of the next lower order; None where there is none.
         """
-        more = (tolerance,) if self.scheme.iterated and tolerance else ()
-        x = self.scheme.step(self.start, self.velocity, self.dt, *more)
+        more, ranks = {}, self.engine.ranks
+        if self.scheme.iterated:
+            more = {"own": self._own, "most": ranks.most, "total": ranks.sum}
+            more |= {"tolerance": tolerance} if tolerance else {}
+        x = self.scheme.step(self.start, self.velocity, self.dt, **more)
         if not self.scheme.embedded:
             return x, None
         weighted = zip(self.scheme.embedded, self._velocities, strict=True)
         off = self.dt * sum(weight * u for weight, u in weighted)
-        return x, float(np.percentile(np.linalg.norm(off, axis=1), 99))
+        off = ranks.rows(np.linalg.norm(off[self._own], axis=1))
+        return x, float(np.percentile(off, 99))
 
     def _solved(self, x, time):
         engine, state = self.engine, self.state

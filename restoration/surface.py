@@ -94,7 +94,44 @@ def heights_on(points, x):
     return solveh_banded(mass, load)
 
 
-class Top:
+class Ground:
+    """The surface of the rock, and integrals over it.
+
+    Args:
+        section: `meshes.data.SectionMesh`, with regions where there is air.
+        spaces: `Spaces` of it.
+        air: whether the regions of the mesh tell rock from air.
+
+    Attributes:
+        air: as above.
+        facets: of the surface that this rank knows.
+        n: normal of facets.
+        rock: one in the rock, and zero in the air.
+    """
+
+    def __init__(self, section, spaces, air=False):
+        self.section, self.spaces, self.air = section, spaces, air
+        mesh, wall = section.mesh, section.wall_tags["surface"]
+        self.facets = _ground(section) if air else section.facet_tags.find(wall)
+        self.n = ufl.FacetNormal(mesh)
+        if not air:
+            self._measure, self.rock = spaces.ds(wall), fem.Constant(mesh, 1.0)
+            return
+        values = np.full(len(self.facets), GROUND, np.int32)
+        tags = dmesh.meshtags(mesh, section.dim - 1, self.facets, values)
+        metadata = {"quadrature_degree": spaces.degree}
+        self._measure = ufl.Measure("dS", mesh, subdomain_data=tags, metadata=metadata)(GROUND)
+        self.rock = fem.Function(spaces.D)
+        self.rock.x.array[:] = section.regions != AIR
+
+    def over(self, integrand):
+        """Return the integral over the surface, from both sides of it where air is meshed too."""
+        if not self.air:
+            return integrand * self._measure
+        return (integrand("+") + integrand("-")) * self._measure
+
+
+class Top(Ground):
     """The nodes of a mesh along its free surface, and all nodes that give way to them.
 
     The mesh is a function of the surface line alone: the nodes of the mesh as it was made, moved
@@ -114,24 +151,13 @@ class Top:
     """
 
     def __init__(self, section, spaces, index, motion="vertical", air=False):
-        self.section, self.spaces, self.index, self.motion = section, spaces, index, motion
-        self._air = air
+        super().__init__(section, spaces, air)
+        self.index, self.motion = index, motion
         mesh, hats = section.mesh, spaces.H
-        facets = _ground(section) if air else section.facet_tags.find(section.wall_tags["surface"])
-        if air:
-            tags = dmesh.meshtags(mesh, 1, facets, np.full(len(facets), GROUND, np.int32))
-            metadata = {"quadrature_degree": spaces.degree}
-            self._measure = ufl.Measure("dS", mesh, subdomain_data=tags, metadata=metadata)(GROUND)
-            self.rock = fem.Function(spaces.D)
-            self.rock.x.array[:] = section.regions != AIR
-        else:
-            self._measure = spaces.ds(section.wall_tags["surface"])
-            self.rock = fem.Constant(mesh, 1.0)
-        self.n = ufl.FacetNormal(mesh)
         self._geometry = np.empty(int(spaces.h_nodes.max()) + 1, np.int64)
         self._geometry[spaces.h_nodes] = section.corner_vertices
         self._made = mesh.geometry.x[self._geometry, :2].copy()
-        dofs = fem.locate_dofs_topological(hats, 1, facets)
+        dofs = fem.locate_dofs_topological(hats, 1, self.facets)
         self.dofs = dofs[np.argsort(self._made[dofs, 0])]
         self._corners = spaces.h_nodes[:, [0, 1, 3, 2] if section.cell == "quadrilateral" else ...]
         self._shape = cell_shapes(self._made[self._corners])
@@ -148,12 +174,6 @@ class Top:
     def line(self):
         """The top nodes from left to right, shape (m, 2), m."""
         return self.section.mesh.geometry.x[self._geometry[self.dofs], :2].copy()
-
-    def over(self, integrand):
-        """Return the integral over the surface, from both sides of it where air is meshed too."""
-        if not self._air:
-            return integrand * self._measure
-        return (integrand("+") + integrand("-")) * self._measure
 
     def flux(self, flow):
         """Return the area that the section gains through its surface in a time, m^2/s."""

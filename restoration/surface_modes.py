@@ -78,7 +78,7 @@ class SurfaceResponse:
 
     def flow(self, heights):
         """Return the velocity that columns of these heights add, (nodes, 2), m/s."""
-        column = np.zeros(len(self.grid.stokes.column.x.array))
+        column = np.zeros(int(self.grid.spaces.h_nodes.max()) + 1)
         column[self.grid.top.dofs] = heights
         return self.grid.stokes.response(column)
 

@@ -19,6 +19,7 @@ from scipy.sparse.linalg import splu
 from forms.rheology import VISCOSITY_OF_MEAN
 from meshes.box import AIR
 from restoration.particles import OUTSIDE
+from restoration.ranks import ALONE
 from restoration.spaces import nodes
 
 # Weight of the particles of neighbouring vertices in a hat mean, for every cell they share. It
@@ -54,6 +55,7 @@ class RockFields:
         air: (density, viscosity over the reference) of the cells of the region `AIR`, which hold no
             particles; None where there is no air.
         line_rock: `LineRock` of the same mesh where a transfer is ``lines``, else None.
+        ranks: `ranks.Ranks` that have some of the particles each; all have the same fields.
 
     Attributes:
         unsure: number of cells whose rock the lines could not tell when they were filled last: it
@@ -67,8 +69,10 @@ class RockFields:
             points of cells are not there, so that the means of the cells stand for them.
     """
 
-    def __init__(self, spaces, index, density, viscosity, transfer, air=None, line_rock=None):
-        self.spaces, self.index, self.transfer = spaces, index, transfer
+    def __init__(
+        self, spaces, index, density, viscosity, transfer, air=None, line_rock=None, ranks=ALONE
+    ):
+        self.spaces, self.index, self.transfer, self._ranks = spaces, index, transfer, ranks
         self._line_rock, self.unsure = line_rock, 0
         self._density = np.asarray(density, float)
         self._mean = AVERAGED[transfer.mean](np.asarray(viscosity, float))
@@ -156,8 +160,10 @@ class RockFields:
             table: values of every unit, shape (units, properties).
             cell, weights, unit, area: as in `fill`.
         """
-        nodes = self.spaces.h_nodes
-        return _hat_means(table, cell, weights, unit, area, nodes, self._vertices, BACKGROUND)
+        nodes, n = self.spaces.h_nodes, self._vertices
+        chunks = min(MOST_CHUNKS, 1 + len(cell) // (CHUNK_PER_NODE * n))
+        sums = self._ranks.sum(_hat_sums(table, cell, weights, unit, area, nodes, n, chunks))
+        return _means_of_sums(sums, nodes, BACKGROUND)
 
     def shares(self, table, cell, weights, unit, area):
         """Return values of rocks at the vertices as the density has them, (vertices, properties).
@@ -176,7 +182,7 @@ class RockFields:
         if self.unsure:
             for j in range(2):
                 fallback = hats[nodes, j].mean(axis=1)
-                means = _cell_means(self.table[unit, j], cell, area, fallback)
+                means = self._means_in_cells(self.table[unit, j], cell, area, fallback)
                 moments[unsure, :, j] = (means * self.index.area)[unsure, None] / 3
         return moments
 
@@ -196,10 +202,16 @@ class RockFields:
         table = (self._density, self._mean)[column]
         fallback = hats[self.spaces.h_nodes, column].mean(axis=1)
         if kind == "cell":
-            return _cell_means(table[unit], cell, area, fallback)
+            return self._means_in_cells(table[unit], cell, area, fallback)
         if kind == "linear":
-            return _cell_planes(table[unit], cell, weights, area, fallback).ravel()
+            sums, low, high = _plane_sums(table[unit], cell, weights, area, len(fallback))
+            sums, low, high = self._ranks.sum(sums), self._ranks.least(low), self._ranks.most(high)
+            return _cell_planes(sums, low, high, weights.shape[1], fallback).ravel()
         return self._around_points(table[unit], x, cell, area, fallback)
+
+    def _means_in_cells(self, values, cell, area, fallback):
+        """Return the means of the particles of every cell, shape (cells,)."""
+        return _means(self._ranks.sum(_cell_sums(values, cell, area, len(fallback))), fallback)
 
     def _around_points(self, values, x, cell, area, fallback):
         """Return arithmetic means within a radius of every quadrature point (paper, sect. 3.4)."""
@@ -211,10 +223,11 @@ class RockFields:
         order = inside[np.argsort(cell[inside], kind="stable")]
         first = np.searchsorted(cell[order], np.arange(len(corners) + 1))
         points = np.einsum("qk,ckd->cqd", self._hats_at_points, corners)
-        means = _point_means(
-            points, radius, x[order], values[order], area[order], first, *self._around, fallback
+        sums = _point_sums(
+            points, radius, x[order], values[order], area[order], first, *self._around
         )
-        return means.ravel()
+        fallback = np.repeat(fallback, points.shape[1])
+        return _means(self._ranks.sum(sums).reshape(-1, 2), fallback)
 
 
 class Sharpening:
@@ -339,12 +352,6 @@ def _factor(matrix):
     return splu(matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=options)
 
 
-def _hat_means(table, cell, weights, unit, area, nodes, n_nodes, background):
-    chunks = min(MOST_CHUNKS, 1 + len(cell) // (CHUNK_PER_NODE * n_nodes))
-    sums = _hat_sums(table, cell, weights, unit, area, nodes, n_nodes, chunks)
-    return _means_of_sums(sums, nodes, background)
-
-
 @numba.njit(parallel=True, cache=True)
 def _hat_sums(table, cell, weights, unit, area, nodes, n_nodes, chunks):
     """Return the weight at every vertex, and what it is of every property, (vertices, 1 + p).
@@ -396,16 +403,20 @@ def _means_of_sums(sums, nodes, background):
 
 
 @numba.njit(cache=True)
-def _cell_means(values, cell, area, fallback):
-    total = np.zeros(len(fallback))
-    weight = np.zeros(len(fallback))
+def _cell_sums(values, cell, area, n_cells):
+    """Return weighted sum of the values in every cell, and the weight, shape (cells, 2)."""
+    sums = np.zeros((n_cells, 2))
     for i in range(len(cell)):
         if cell[i] >= 0:
-            total[cell[i]] += area[i] * values[i]
-            weight[cell[i]] += area[i]
-    for c in range(len(fallback)):
-        total[c] = total[c] / weight[c] if weight[c] > 0 else fallback[c]
-    return total
+            sums[cell[i], 0] += area[i] * values[i]
+            sums[cell[i], 1] += area[i]
+    return sums
+
+
+def _means(sums, fallback):
+    """Return the means of weighted sums and weights, shape (n, 2); a fallback where none is."""
+    held = sums[:, 1] > 0
+    return np.where(held, sums[:, 0] / np.where(held, sums[:, 1], 1.0), fallback)
 
 
 # Least spread of the particles of a cell, over the cell's size squared, for a plane through them;
@@ -414,15 +425,10 @@ LEAST_SPREAD = 5e-3
 
 
 @numba.njit(cache=True)
-def _cell_planes(values, cell, hats, area, fallback):
-    """Return least-squares planes of the particles of every cell at its corners, (cells, k).
-
-    A plane keeps the mean of the particles at their centre, and is flattened until it stays within
-    their least and greatest value at every corner.
-    """
-    n_cells, k = len(fallback), hats.shape[1]
-    count = np.zeros(n_cells, np.int64)
-    sums = np.zeros((n_cells, 9))  # w, r, s, v, rr, rs, ss, rv, sv
+def _plane_sums(values, cell, hats, area, n_cells):
+    """Return moments of the particles of every cell, their number last, and extreme values."""
+    k = hats.shape[1]
+    sums = np.zeros((n_cells, 10))  # w, r, s, v, rr, rs, ss, rv, sv, 1
     low, high = np.full(n_cells, np.inf), np.full(n_cells, -np.inf)
     for i in range(len(cell)):
         c = cell[i]
@@ -431,13 +437,24 @@ def _cell_planes(values, cell, hats, area, fallback):
         r, s, v, w = hats[i, 1], hats[i, 2], values[i], area[i]
         if k == 4:
             r, s = r + hats[i, 3], s + hats[i, 3]
-        count[c] += 1
+        sums[c, 9] += 1
         low[c], high[c] = min(low[c], v), max(high[c], v)
         for j, q in enumerate((1.0, r, s, v, r * r, r * s, s * s, r * v, s * v)):
             sums[c, j] += w * q
+    return sums, low, high
+
+
+@numba.njit(cache=True)
+def _cell_planes(sums, low, high, k, fallback):
+    """Return least-squares planes of the particles of every cell at its corners, (cells, k).
+
+    A plane keeps the mean of the particles at their centre, and is flattened until it stays within
+    their least and greatest value at every corner.
+    """
+    n_cells = len(fallback)
     planes = np.empty((n_cells, k))
     for c in range(n_cells):
-        if count[c] == 0:
+        if sums[c, 9] == 0:
             planes[c, :] = fallback[c]
             continue
         w = sums[c, 0]
@@ -446,7 +463,7 @@ def _cell_planes(values, cell, hats, area, fallback):
         rv, sv = sums[c, 7] / w - r * v, sums[c, 8] / w - s * v
         det = rr * ss - rs * rs
         gr, gs = 0.0, 0.0
-        if count[c] > 2 and det > LEAST_SPREAD**2:
+        if sums[c, 9] > 2 and det > LEAST_SPREAD**2:
             gr, gs = (ss * rv - rs * sv) / det, (rr * sv - rs * rv) / det
         scale = 1.0
         for j in range(k):
@@ -471,19 +488,17 @@ def _cells_around(nodes):
 
 
 @numba.njit(cache=True)
-def _point_means(points, radius, x, values, area, first, offsets, around, fallback):
+def _point_sums(points, radius, x, values, area, first, offsets, around):
+    """Return weighted sum of the values around every point, and the weight, (cells, points, 2)."""
     n_cells, n_points, _ = points.shape
-    mean = np.empty((n_cells, n_points))
+    sums = np.zeros((n_cells, n_points, 2))
     for c in range(n_cells):
         for q in range(n_points):
-            total = 0.0
-            weight = 0.0
             for a in range(offsets[c], offsets[c + 1]):
                 for i in range(first[around[a]], first[around[a] + 1]):
                     dx = x[i, 0] - points[c, q, 0]
                     dz = x[i, 1] - points[c, q, 1]
                     if dx * dx + dz * dz < radius[c] * radius[c]:
-                        total += area[i] * values[i]
-                        weight += area[i]
-            mean[c, q] = total / weight if weight > 0 else fallback[c]
-    return mean
+                        sums[c, q, 0] += area[i] * values[i]
+                        sums[c, q, 1] += area[i]
+    return sums

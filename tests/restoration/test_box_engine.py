@@ -152,7 +152,7 @@ def test_everything_comes_back(scene):
 def test_points_stay_in_the_box(scene):
     engine, _ = begun(scene())
     x = np.array([[-1, 5e3, -1e3], [5e3, 10.5e3, 1], [1, 2, -5001.0], [4, 5, -6]])
-    inside = engine._on_walls(x)
+    inside = engine._on_walls(x, 2)
     assert inside.tolist() == [[0, 5e3, -1e3], [5e3, 1e4, 0], [1, 2, -5e3], [4, 5, -6]]
     assert engine.held_on_wall == 3
 

@@ -15,7 +15,7 @@ from restoration.engine import StokesEngine
 from restoration.errors import CaseError, MeshError
 from restoration.lines import begin
 from restoration.mesher import Mesher
-from restoration.particles import Particles
+from restoration.particles import subset
 from restoration.resolve import load
 from restoration.run import march
 from restoration.scene import Line
@@ -339,11 +339,7 @@ def test_a_band_keeps_its_rock_without_particles(case):
     state = engine.start()
     bands = [fault.unit for fault in scene.faults]
     bare = ~np.isin(state.particles.unit, bands)
-    particles = replace(
-        state.particles,
-        **{name: getattr(state.particles, name)[bare] for name in Particles.__dataclass_fields__},
-    )
-    state = engine.with_flow(replace(state, particles=particles))
+    state = engine.with_flow(replace(state, particles=subset(state.particles, bare)))
     middles = state.grid.index.corners.mean(axis=1)
     expected = scene.unit_at(middles)
     off = (state.grid.fields.unit != expected) & (

@@ -10,9 +10,10 @@ from restoration.particles import (
     OUTSIDE,
     CellIndex,
     Particles,
+    born_in,
     empty_cells,
-    fill_cells,
     held_inside,
+    joined,
     relocate,
     seed,
 )
@@ -121,7 +122,7 @@ def test_an_empty_cell_takes_the_nearest_rock(index):
     particles = relocate(cloud_at(centre[some], left[some].astype(np.int16)), index)
     empty = empty_cells(particles, len(centre))
     assert np.array_equal(empty, np.flatnonzero(~some))
-    filled = fill_cells(particles, index, empty)
+    filled = joined(particles, born_in(empty, particles, index))
     assert not len(empty_cells(filled, len(centre)))
     assert filled.born.sum() == len(empty)
     far = np.abs(centre[empty, 0] - 500) > 60
@@ -130,7 +131,7 @@ def test_an_empty_cell_takes_the_nearest_rock(index):
 
 def test_no_particle_at_all_is_an_error(index):
     with pytest.raises(ParticleError, match="no particle is left inside the section"):
-        fill_cells(cloud_at(np.empty((0, 2))), index, np.array([0], np.int32))
+        born_in(np.array([0], np.int32), cloud_at(np.empty((0, 2))), index)
 
 
 def test_a_cloud_shares_the_area(make_scene):

@@ -11,10 +11,12 @@ from restoration.particles import (
     OUTSIDE,
     CellIndex,
     Particles,
+    born_in,
     empty_cells,
-    fill_cells,
+    joined,
     relocate,
     seed,
+    subset,
 )
 from restoration.scene import ParticlePlan, Transfer
 from restoration.spaces import Spaces
@@ -53,9 +55,9 @@ def fill(fields, index, particles, which=slice(None)):
 
 def test_a_born_particle_stands_for_its_cell(box):
     _, index, particles = box
-    some = Particles(*(column[particles.x[:, 0] > 0.3] for column in vars(particles).values()))
+    some = subset(particles, particles.x[:, 0] > 0.3)
     cells = empty_cells(some, len(index.area))
-    filled = fill_cells(some, index, cells)
+    filled = joined(some, born_in(cells, some, index))
     assert len(cells) > 0
     assert filled.area[filled.born] == pytest.approx(index.area[cells])
 

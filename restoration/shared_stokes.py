@@ -1,0 +1,139 @@
+"""The Stokes problem of a mesh that every rank holds whole, solved by all of them together.
+
+The mesh is dealt out with ghosts, the fields are copied there from the whole ones, and velocity and
+pressure are gathered again, so that around the solve nothing knows of ranks.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+from dolfinx import fem
+from ufl import replace as replaced
+from ufl.algorithms import extract_coefficients
+from ufl.core.expr import Expr
+
+from meshes.dealt import dealt
+from restoration.spaces import Spaces, nodes
+from restoration.stokes import StokesProblem
+from restoration.surface import Ground
+
+
+class SharedStokes:
+    """Solves as a `StokesProblem` does, on several ranks.
+
+    Args:
+        ranks: `ranks.Ranks`.
+        section, spaces: the whole mesh, the same on all ranks, and its `Spaces`.
+        rho, eta: UFL expressions of functions on the whole mesh.
+        *others: further arguments of `StokesProblem`.
+        top: `surface.Ground` of the whole mesh, or None.
+        on_facets: as ``rho`` and ``eta``, or None.
+        **options: further arguments of `StokesProblem` by name.
+
+    Attributes:
+        leak: see `StokesProblem`.
+    """
+
+    def __init__(self, ranks, section, spaces, rho, eta, *others, top, on_facets, **options):
+        self._ranks, self._whole = ranks, section
+        self._part = dealt(section, ranks.comm)
+        self.spaces = spaces
+        own = self._own = Spaces(self._part.section, spaces.pair.name, spaces.degree)
+        self._mirrors = {}
+        rho, eta, *facets = (self._mirrored(field) for field in (rho, eta, *(on_facets or ())))
+        ground = top and Ground(self._part.section, own, top.air)
+        self._problem = StokesProblem(
+            self._part.section,
+            own,
+            rho,
+            eta,
+            *others,
+            top=ground,
+            on_facets=tuple(facets) or None,
+            **options,
+        )
+        self._hats = self._nodes_of(own.H, spaces.H)
+        self._gathered = [
+            _Gathering(ranks, space, self._nodes_of(space, whole))
+            for space, whole in ((own.V, spaces.V), (own.Q, spaces.Q))
+        ]
+
+    @property
+    def leak(self):
+        """Flux out of the walls that the section makes up for by swelling, m^dim/s."""
+        return self._problem.leak
+
+    def _nodes_of(self, own, whole):
+        """Return the node of the whole mesh of every node of this rank."""
+        found = np.empty(int(nodes(own).max()) + 1, np.int64)
+        found[nodes(own)] = nodes(whole)[self._part.cells]
+        return found
+
+    def _mirrored(self, field):
+        """Return an expression with its functions replaced by those of the mesh dealt out."""
+        if not isinstance(field, Expr):
+            return field
+        of = {}
+        for function in extract_coefficients(field):
+            if function not in self._mirrors:
+                space = function.function_space
+                own = fem.FunctionSpace(self._part.section.mesh, space.ufl_element())
+                self._mirrors[function] = fem.Function(own), self._nodes_of(own, space)
+            of[function] = self._mirrors[function][0]
+        return replaced(field, of)
+
+    def set_time(self, time):
+        """Set what the walls prescribe for a model time, s, and for the mesh as it stands now."""
+        self._part.section.mesh.geometry.x[:] = self._whole.mesh.geometry.x[self._part.nodes]
+        self._problem.set_time(time)
+
+    def stabilise(self, lead, before=None):
+        """Let the weight of the moved surface count, see `StokesProblem.stabilise`."""
+        self._problem.stabilise(lead, before)
+
+    def assemble(self):
+        """Assemble for the fields as they are now, see `StokesProblem.assemble`."""
+        for function, (own, at) in self._mirrors.items():
+            own.x.array[:] = function.x.array[at]
+        self._problem.assemble()
+
+    def solve(self):
+        """Return the `Flow` on the whole mesh of what was assembled last.
+
+        Raises:
+            SolveError: as `StokesProblem.solve`, on all ranks.
+        """
+        flow, (velocity, pressure) = self._problem.solve(), self._gathered
+        return replace(flow, u=velocity(flow.u), p=pressure(flow.p))
+
+    def response(self, column):
+        """Return the velocity that a column of rock on the surface adds, (nodes, 2), m/s.
+
+        Args:
+            column: its height at the dofs of `Spaces.H` of the whole mesh, m.
+        """
+        return self._gathered[0](self._problem.response(column[self._hats]))
+
+    def release(self):
+        """Give the memory of matrix and factors back."""
+        self._problem.release()
+
+
+class _Gathering:
+    """Puts the values of all ranks together in the order of the whole mesh.
+
+    Args:
+        ranks: `ranks.Ranks`.
+        space: of this rank.
+        nodes: node of the whole mesh of every node of this rank, ghosts last.
+    """
+
+    def __init__(self, ranks, space, nodes):
+        self._ranks, self._owned = ranks, space.dofmap.index_map.size_local
+        self._order = ranks.rows(nodes[: self._owned])
+
+    def __call__(self, values):
+        parts = self._ranks.rows(values[: self._owned])
+        whole = np.empty_like(parts)
+        whole[self._order] = parts
+        return whole
