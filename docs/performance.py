@@ -38,6 +38,7 @@ PROFILED = {
         "mesh.interfaces=fitted",
     ),
     "diapir, one viscosity": (ONE, *SHORT),
+    "diapir in three dimensions": (CASES / "diapir-3d" / "case.yaml", "time.marks=[0 Myr, 1 Myr]"),
     "graben": (CASES / "graben" / "case.yaml", "time.marks=[0 kyr, 17.5 kyr]", "certificate=off"),
 }
 SOLVING = "solve"

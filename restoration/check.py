@@ -7,7 +7,7 @@ import numpy as np
 from restoration.advection import SCHEMES
 from restoration.layered import restorable
 from restoration.plan import active, time_label, unknowns
-from restoration.scene import WALLS, Table
+from restoration.scene import Table
 from restoration.seeding import count_points
 from restoration.stopping import asked
 from restoration.units import show
@@ -32,6 +32,7 @@ def describe(loaded, forecast=None):
     return {
         "title": scene.title,
         "width_m": scene.outline.width,
+        "length_m": scene.length,
         "height_m": scene.outline.height,
         "area_m2": scene.outline.area,
         "rocks": [
@@ -46,7 +47,7 @@ def describe(loaded, forecast=None):
                 "velocity_m_per_s": _wall_numbers(scene.walls[name].velocity),
                 "traction_pa": _wall_numbers(scene.walls[name].traction),
             }
-            for name in WALLS
+            for name in scene.walls
         },
         "marks_s": list(scene.time.marks),
         "stop": scene.time.stop and dict(vars(scene.time.stop)),
@@ -70,10 +71,7 @@ def describe(loaded, forecast=None):
 def describe_text(loaded, forecast=None):
     """Return what a case would solve, for people; arguments as `describe`."""
     scene, about = loaded.scene, describe(loaded, forecast)
-    size = (
-        f"{show(scene.outline.width, 'length')} wide, {show(scene.outline.height, 'length')} high"
-    )
-    lines = [scene.title, f"section    {size}, {about['area_m2'] / 1e6:.4g} km^2"]
+    lines = [scene.title, _size_text(scene)]
     for rock in scene.rocks:
         of = [unit.name for unit in scene.units if scene.rocks[unit.rock] is rock]
         lines.append(
@@ -81,12 +79,14 @@ def describe_text(loaded, forecast=None):
             f"{show(rock.viscosity, 'viscosity')}"
             + ("" if of == [rock.name] else f"; units {', '.join(of)}")
         )
-    for line in about["lines"]:
+    for sheet in scene.sheets:
+        lines.append(f"{sheet.kind:<10} {sheet.name}, a sheet of {len(sheet.points)} points")
+    for line in about["lines"] if scene.dim == 2 else ():
         pieces = f" in {line['pieces']} pieces" if line["pieces"] > 1 else ""
         length = show(line["length_m"], "length")
         wide = f", {show(line['width_m'], 'length')} wide" if line["width_m"] else ""
         lines.append(f"{line['kind']:<10} {line['name']}, {length} long{pieces}{wide}")
-    for name in WALLS:
+    for name in scene.walls:
         lines.append(f"{name:<10} {_wall_text(scene.walls[name])}")
     lines.append(f"gravity    {scene.gravity:g} m/s^2, downwards")
     for a, b in pairwise(scene.time.marks):
@@ -95,20 +95,21 @@ def describe_text(loaded, forecast=None):
         lines.append(f"march      {ends}, {way}")
     if scene.time.stop:
         lines.append(f"stop       {asked(scene.time.stop)}")
-    across, up = scene.cells
     shape = "squares" if scene.mesh.element.startswith("Q") else "triangles"
+    base = "squares" if scene.dim == 2 else "cubes"
+    shape = shape if scene.dim == 2 else "tetrahedra"
     refined = scene.mesh.refine is not None
     about_text = " and more where it is finer" if refined else ""
     rough = "about " if scene.mesh.interfaces != "particles" else ""
     lines += [
-        f"mesh       {across} x {up} squares, {rough}{about['cells']} {shape}, "
+        f"mesh       {' x '.join(map(str, scene.cells))} {base}, {rough}{about['cells']} {shape}, "
         f"{rough}{about['unknowns']} unknowns{about_text}",
         f"particles  {about['particles']}",
         f"work       at least {about['steps_at_least']} steps and "
         f"{about['stokes_solves_at_least']} Stokes solves; more where the flow is fast "
         f"(courant {scene.time.courant:g})",
         f"memory     about {about['memory_mb_about']} MB",
-        *_forecast_lines(forecast),
+        *(_forecast_lines(forecast) if scene.dim == 2 else ()),
     ]
     if scene.free:
         lines.append(f"surface    {about['restorability']['verdict']}")
@@ -116,6 +117,16 @@ def describe_text(loaded, forecast=None):
     lines += [f"note       {note}" for note in scene.notes]
     lines += ["", "# the case with every default", loaded.resolved.rstrip()]
     return "\n".join(lines)
+
+
+def _size_text(scene):
+    """Return how large the section or the box is, in words."""
+    width, height = (show(side, "length") for side in (scene.outline.width, scene.outline.height))
+    if scene.dim == 2:
+        return f"section    {width} wide, {height} high, {scene.outline.area / 1e6:.4g} km^2"
+    volume = scene.outline.area * scene.length / 1e9
+    long = show(scene.length, "length")
+    return f"box        {width} wide, {long} long, {height} high, {volume:.4g} km^3"
 
 
 def _forecast_lines(forecast):
@@ -154,7 +165,11 @@ def _lines(scene):
         )
         row["length_m"] += float(np.linalg.norm(np.diff(line.points, axis=0), axis=1).sum())
         row["pieces"] += 1
-    return list(rows.values())
+    sheets = [
+        {"name": sheet.name, "kind": sheet.kind, "points": len(sheet.points)}
+        for sheet in scene.sheets
+    ]
+    return [*rows.values(), *sheets]
 
 
 def _wall_text(wall):

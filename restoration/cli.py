@@ -129,6 +129,7 @@ def _check(options):
 
     loaded, told = _load(options), None
     if options.forecast:
+        _refuse_length(options, loaded, "--forecast")
         from restoration.forecast import forecast
 
         told = forecast(loaded.scene)
@@ -138,6 +139,15 @@ def _check(options):
     else:
         print(describe_text(loaded, told))
     return 0
+
+
+def _refuse_length(options, loaded, what):
+    """Refuse an option that has no use for three dimensions yet."""
+    if loaded.scene.dim == 3:
+        raise CaseError(
+            f"{options.case}: {what} is not possible in three dimensions (section.box.length) yet; "
+            "leave it out"
+        )
 
 
 def _let_pipes_break():
@@ -158,6 +168,8 @@ def _run(options):
 
     with StopRequest() as stop:  # already here: a Ctrl-C while a library loads would break it
         loaded = _load(options)
+        if options.prove:
+            _refuse_length(options, loaded, "--prove")
         for note in loaded.scene.notes if rank_and_size()[0] == 0 else ():
             print(f"note: {note}", file=sys.stderr)
         use_jit_cache()

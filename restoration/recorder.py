@@ -152,7 +152,7 @@ class Recorder:
             "step": self.steps,
             "time_Myr": state.time / MYR,
             "dt_kyr": dt / MYR * 1e3,
-            "flatness_m": flatness_of(state.lines, self.stopping.plan),
+            "flatness_m": self._flatness(state),
             "wall_s": time.perf_counter() - self._began,
         }
         self.ranks.alone(lambda: self.table.write(**row))
@@ -183,7 +183,16 @@ class Recorder:
         myr = state.time / MYR
         ages = counts_back(self.scene)
         name = f"{number}-{abs(myr):.3f}Ma" if ages else f"{number}-{myr:.3f}Myr"
-        about = {"mark": number, "model_time_Myr": state.time / MYR}
+        self._picture(name, state, before)
+        self.say(f"mark {number}: {time_label(self.scene, state.time)} after {self.steps} steps")
+        self._output_s += time.perf_counter() - begin
+
+    def _flatness(self, state):
+        return flatness_of(state.lines, self.stopping.plan)
+
+    def _picture(self, name, state, before):
+        """Write the lines and a picture at a mark."""
+        about = {"mark": int(name.partition("-")[0]), "model_time_Myr": state.time / MYR}
         path = self.folder / "horizons" / f"{name}.geojson"
         self.ranks.alone(write_lines, path, state.lines, about)
         self.ranks.alone(
@@ -197,8 +206,6 @@ class Recorder:
             _arrows(state) if self.scene.output.arrows else None,
             label=time_text(self.scene, state.time, before),
         )
-        self.say(f"mark {number}: {time_label(self.scene, state.time)} after {self.steps} steps")
-        self._output_s += time.perf_counter() - begin
 
     def end(self, error=None):
         """Write the record, and where a run was stopped the frame it has reached.

@@ -157,6 +157,8 @@ RUN_FILES = (
     "fields*.h5",
     "particles*.xdmf",
     "particles*.h5",
+    "horizons*.xdmf",
+    "horizons*.h5",
     "figures/section-*.png",
     "figures/strip.png",
     "figures/there-and-back.png",
@@ -233,6 +235,17 @@ class StopRequest:
         self.wanted = True
 
 
+def _recorder(job, folder, progress):
+    """Return what writes the run folder; it loads dolfinx, which only a run needs."""
+    if job.scene.dim == 3:
+        from restoration.box_recorder import BoxRecorder
+
+        return BoxRecorder(job, folder, progress)
+    from restoration.recorder import Recorder
+
+    return Recorder(job, folder, progress)
+
+
 def run_job(job, progress=None, stop=None):
     """Run a job: set up, march, write; leave the record whatever happens.
 
@@ -267,9 +280,7 @@ def run_job(job, progress=None, stop=None):
                 )
             return None, job.folder
         check()
-        from restoration.recorder import Recorder  # loads dolfinx: only a run needs it
-
-        recorder = Recorder(job, folder, progress)
+        recorder = _recorder(job, folder, progress)
         try:
             recorder.begin()
             check()

@@ -16,9 +16,8 @@ from petsc4py import PETSc
 
 from restoration.blocks import rigid_motions
 from restoration.errors import SolveError, TooLargeError
+from restoration.plan import FIELDSPLIT_FROM
 
-# Unknowns from which `auto` takes the field split, by dimensions. See docs/benchmarks.md.
-FIELDSPLIT_FROM = {2: 500_000, 3: 20_000}
 MANY_ITERATIONS = 100  # more tell that the viscosity is too rough for the field split
 # Orderings of MUMPS by unknowns: AMD, and PORD for large matrices. Debian's has no METIS or SCOTCH.
 ORDERING = {0: 0, 50_000: 4}

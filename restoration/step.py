@@ -27,14 +27,14 @@ class Step:
         slaving: whether slaved modes of the surface move with their equilibrium.
 
     Attributes:
-        start: the rows, shape (rows, 2), m.
+        start: the rows, shape (rows, dim), m.
         particles, fixed: number of particles, and of all rows but the area.
     """
 
     def __init__(self, engine, state, dt, scheme, slaving):
         self.engine, self.state, self.dt, self.scheme = engine, state, dt, SCHEMES[scheme]
         self.slaving = engine.surface.slaving if engine.surface and slaving else None
-        points = points_of(state.lines)
+        points = points_of(state.lines) if state.lines else state.particles.x[:0]
         rows = {"particles": state.particles.x, "lines": points}
         rows |= {
             name: wall_points(name, engine.outline(state.lines), engine.spacing / 2)
@@ -48,7 +48,7 @@ class Step:
         surface = engine.surface
         self.width = engine.scene.outline.width
         height = [line_area(surface_of(state.lines).points) / self.width] if surface else []
-        area = np.array([[h, 0.0] for h in height]).reshape(-1, 2)
+        area = np.array([[h, 0.0] for h in height]).reshape(-1, points.shape[1])
         self.lead = surface.lead(dt) if surface else 0.0
         self.start = np.concatenate([*rows.values(), area])
         stages = self.scheme.stages
@@ -106,7 +106,8 @@ class Step:
             return x, None
         weighted = zip(self.scheme.embedded, self._velocities, strict=True)
         off = self.dt * sum(weight * u for weight, u in weighted)
-        return x, float(np.percentile(ranks.rows(np.hypot(*off[self._own].T)), 99))
+        off = ranks.rows(np.linalg.norm(off[self._own], axis=1))
+        return x, float(np.percentile(off, 99))
 
     def _solved(self, x, time):
         engine, state = self.engine, self.state
