@@ -1,11 +1,14 @@
 """Prints where the rock of small runs has come to, as JSON; run it on any number of ranks."""
 
 import json
+from pathlib import Path
 
 import numpy as np
 
+from restoration.box_engine import BoxEngine
 from restoration.engine import StokesEngine
 from restoration.environment import use_jit_cache
+from restoration.resolve import load
 from restoration.run import march
 from restoration.scene import (
     MeshPlan,
@@ -69,12 +72,27 @@ SCENES = {
         transfer=Transfer("hat", "quadrature", "arithmetic"),
         time=TimePlan((0.0, 0.5 * MYR), "rk3", 1.0, 4, tolerance=5.0),
     ),
+    "box": lambda: box("direct"),
+    "box by the field split": lambda: box("fieldsplit"),
 }
+
+
+def box(name):
+    """Return the shipped case of three dimensions on few cells, by a solver."""
+    case = Path(__file__).parents[1] / "cases" / "diapir-3d" / "case.yaml"
+    options = "{ksp_rtol: 1e-12}" if name == "fieldsplit" else "{}"
+    sets = (
+        "mesh.cells=[3, 3, 2]",
+        "time={marks: [0 Myr, 0.5 Myr], min_steps: 2}",
+        f"solver={{name: {name}, options: {options}}}",
+        "rocks.salt.viscosity=1e18 Pa s",
+    )
+    return load(case, sets).scene
 
 
 def run(scene):
     """Return particles and lines at the end of a run, and whether all ranks had their share."""
-    engine, loads = StokesEngine(scene), []
+    engine, loads = (BoxEngine if scene.dim == 3 else StokesEngine)(scene), []
     end = march(
         engine.start(),
         engine,
