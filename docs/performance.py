@@ -15,12 +15,15 @@ from pathlib import Path
 import numpy as np
 import shapely
 
-from restoration import assembly, solvers
+from restoration import assembly, grid, solvers
+from restoration.box_engine import BoxEngine
 from restoration.engine import StokesEngine
 from restoration.environment import use_jit_cache, use_numba_cache
+from restoration.errors import SolveError
 from restoration.particles import subset
 from restoration.resolve import load
 from restoration.run import next_time
+from restoration.units import YEAR
 
 ROOT = Path(__file__).parents[1]
 CASES = ROOT / "cases"
@@ -271,6 +274,23 @@ SCOPE = (
     ("", WEAK, ("mesh.cells=46",), "fine everywhere"),
     ("", WEAK, ("mesh.cells=23",), "coarse everywhere"),
 )
+# A section of two dimensions, and the same as a box that is one cube wide.
+PLANE = """
+section:
+  box: {{width: 10 km, {length}height: 5 km}}
+  layers:
+    - {{rock: salt, top: {{depth: 4 km, cosine: {{amplitude: 0.3 km, wavelength: 20 km}}}}}}
+    - {{rock: sediment}}
+rocks:
+  salt: {{density: 2150 kg/m^3, viscosity: 1e18 Pa s}}
+  sediment: {{density: 2600 kg/m^3, viscosity: 1e19 Pa s}}
+boundary: {{base: no-slip}}
+mesh: {{cells: {cells}}}
+particles: {{velocity: plain}}
+time: {{marks: [0 Myr, 0.5 Myr], min_steps: 5}}
+certificate: off
+"""
+PLANES = (("", "[24, 12]", "two dimensions"), ("length: 0.4167 km, ", "[24, 1, 12]", "three"))
 
 
 def ended(case, *overrides):
@@ -295,6 +315,68 @@ def ended(case, *overrides):
             }
         )
     )
+
+
+def plane(length, cells):
+    """Print what the section costs in two dimensions, or as a box one cube wide, as JSON."""
+    with tempfile.TemporaryDirectory() as folder:
+        case = Path(folder) / "case.yaml"
+        case.write_text(PLANE.format(length=length, cells=cells))
+        walk = Walk(case, engine=BoxEngine if length else StokesEngine)
+    wall, cpu, _ = walk.timed(4)
+    spaces, state = walk.engine.grid.spaces, walk.state
+    print(
+        json.dumps(
+            {
+                "unknowns": spaces.unknowns,
+                "particles": len(state.particles.x),
+                "wall": wall,
+                "cpu": cpu,
+                "fastest": state.grid.speeds(state.flow)[1],
+                "peak_mb": peak_mb(),
+            }
+        )
+    )
+
+
+def planes():
+    """A section in two dimensions, and as a box one cube wide: a step of rk4."""
+    head("mesh", "unknowns", "particles", "CPU s a step", "peak, MB", "greatest velocity, mm/yr")
+    for length, cells, name in PLANES:
+        got = apart("plane", length, cells)
+        row(
+            name,
+            got["unknowns"],
+            got["particles"],
+            f"{got['cpu']:.2f}",
+            f"{got['peak_mb']:.0f}",
+            f"{got['fastest'] * 1e3 * YEAR:.3f}",
+        )
+
+
+def closed():
+    """A closed box: the pressure, known up to a constant, held at a point or not; a solve."""
+    head("the pressure is", "relative residual", "pressure, greatest, MPa", "what became of it")
+    make = grid.StokesProblem
+
+    def unheld(*arguments, **options):
+        """Take the section for one that is open somewhere."""
+        return make(*arguments[:7], False, *arguments[8:], **options)
+
+    for held in (True, False):
+        grid.StokesProblem = make if held else unheld
+        try:
+            flow = Walk(ONE, "mesh.cells=32").state.flow
+            row(
+                "held" if held else "left alone",
+                f"{flow.residual:.0e}",
+                f"{np.abs(flow.p).max() / 1e6:.3g}",
+                "solved",
+            )
+        except SolveError as error:
+            row("held" if held else "left alone", "", "", str(error).partition(";")[0])
+        finally:
+            grid.StokesProblem = make
 
 
 def scope():
@@ -324,7 +406,7 @@ def scope():
         )
 
 
-TABLES = {f.__name__: f for f in (profile, particles, solves, steady, scope)}
+TABLES = {f.__name__: f for f in (profile, particles, solves, steady, scope, planes, closed)}
 
 
 def main(description, tables, apart_works):
@@ -353,4 +435,4 @@ def main(description, tables, apart_works):
 
 
 if __name__ == "__main__":
-    main(__doc__, TABLES, {"ended": ended})
+    main(__doc__, TABLES, {"ended": ended, "plane": plane})
