@@ -379,6 +379,21 @@ def closed():
             grid.StokesProblem = make
 
 
+def forecasts():
+    """What `restore check --forecast` tells of the shipped cases, and what they then take."""
+    head("case", "told, s", "took, s", "ratio", "told, MB", "took, MB", "ratio")
+    for case in sorted([*CASES.glob("*/case.yaml"), *CASES.glob("*/exp?.yaml")]):
+        command = [sys.executable, "-m", "restoration.cli", "check", str(case), "--forecast"]
+        done = subprocess.run(
+            [*command, "--json"], check=True, capture_output=True, text=True, cwd=ROOT
+        )
+        told = json.loads(done.stdout)["forecast"]
+        record = run(case)
+        pairs = (told["seconds"], record["wall_s"]), (told["memory_mb"], record["peak_rss_mb"])
+        name = case.parent.name if case.stem == "case" else f"{case.parent.name}/{case.stem}"
+        row(name, *(text for a, b in pairs for text in (f"{a:.0f}", f"{b:.0f}", f"{a / b:.2f}")))
+
+
 def scope():
     """What only some scenes require, with and without: 0.6 Myr forward on the cells of the case.
 
@@ -406,7 +421,9 @@ def scope():
         )
 
 
-TABLES = {f.__name__: f for f in (profile, particles, solves, steady, scope, planes, closed)}
+TABLES = {
+    f.__name__: f for f in (profile, particles, solves, steady, scope, planes, closed, forecasts)
+}
 
 
 def main(description, tables, apart_works):
