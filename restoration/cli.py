@@ -132,6 +132,7 @@ def _check(options):
         _refuse_length(options, loaded, "--forecast")
         from restoration.forecast import forecast
 
+        use_jit_cache()
         told = forecast(loaded.scene)
         _let_pipes_break()
     if options.json:
