@@ -87,8 +87,8 @@ def growth():
     layers = [Layer(HEIGHT - DEPTH, 2150.0, 1e19), Layer(DEPTH, 2600.0, 1e19)]
     (exact,) = rates(layers, np.sqrt(2) * np.pi / SIDE, 9.81, "no-slip", "free-slip")
     for element, density, sizes in (
-        ("P2-P1", "hat", (5, 6, 8, 10, 12)),
-        ("P2-P1", "projection", (5, 6, 8, 10, 12)),
+        ("P2-P1", "hat", (5, 6, 8, 10)),
+        ("P2-P1", "projection", (5, 6, 8, 10)),
         ("P2b-P1dg", "hat", (4, 5, 6, 8)),
         ("P2b-P1dg", "projection", (4, 5, 6, 8)),
     ):
