@@ -61,10 +61,11 @@ class Walk:
     Args:
         case: path.
         overrides: texts ``a.b=value``.
+        engine: makes the engine of a scene.
     """
 
-    def __init__(self, case, *overrides):
-        self.engine = StokesEngine(load(case, overrides).scene)
+    def __init__(self, case, *overrides, engine=StokesEngine):
+        self.engine = engine(load(case, overrides).scene)
         self.state = self.engine.with_flow(self.engine.start())
         self.mark = self.engine.scene.time.marks[1]
 
@@ -223,78 +224,11 @@ def peak_mb():
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
 
 
-def exponent(sizes, costs):
-    """Return the exponent of the power of the size that a cost goes with."""
-    return np.polyfit(np.log(sizes), np.log(costs), 1)[0]
-
-
 def apart(work, *arguments):
-    """Return what a function of this script prints as JSON in a process of its own."""
-    command = [sys.executable, __file__, "--apart", work, *map(str, arguments)]
+    """Return what a function of the script that runs prints as JSON in a process of its own."""
+    command = [sys.executable, sys.argv[0], "--apart", work, *map(str, arguments)]
     done = subprocess.run(command, check=True, capture_output=True, text=True, cwd=ROOT)
     return json.loads(done.stdout.splitlines()[-1])
-
-
-def size_of(cells, per_cell, steps):
-    """Print what a step costs, as JSON."""
-    base = peak_mb()
-    walk = Walk(WEAK, f"mesh.cells={cells}", f"particles.per_cell={per_cell}", "time.courant=0.5")
-    wall, cpu, parts = walk.timed(int(steps))
-    print(
-        json.dumps(
-            {
-                "unknowns": walk.engine.grid.spaces.unknowns,
-                "particles": len(walk.state.particles.x),
-                "wall": wall,
-                "cpu": cpu,
-                "peak_mb": peak_mb(),
-                "base_mb": base,
-                "parts": parts,
-            }
-        )
-    )
-
-
-def unknowns():
-    """A step of rk4 against unknowns: two viscosities, four particles a cell, 2-D."""
-    head("unknowns", "particles", "wall, s", "CPU, s", "solve, s", "peak, MB", "kB per unknown")
-    sizes, costs = [], []
-    for cells in (32, 72, 125, 225):
-        got = apart("size_of", cells, 4, 2)
-        sizes.append(got["unknowns"])
-        costs.append(got["cpu"])
-        row(
-            got["unknowns"],
-            got["particles"],
-            f"{got['wall']:.2f}",
-            f"{got['cpu']:.2f}",
-            f"{got['parts'][SOLVING]:.2f}",
-            f"{got['peak_mb']:.0f}",
-            f"{1024 * (got['peak_mb'] - got['base_mb']) / got['unknowns']:.1f}",
-        )
-    print(f"\nexponent of the CPU seconds: {exponent(sizes, costs):.2f}")
-
-
-def cloud():
-    """A step of rk4 against particles: two viscosities, 40 000 unknowns."""
-    head("particles", "wall, s", "CPU, s", "all but Stokes, wall s", "peak, MB", "B per particle")
-    sizes, costs, least = [], [], None
-    for per_cell in (8, 80, 800):
-        got = apart("size_of", 45, per_cell, 2)
-        least = least or got
-        others = sum(got["parts"][part] for part in ("fields", "advect"))
-        sizes.append(got["particles"])
-        costs.append(others)
-        more = got["particles"] - least["particles"]
-        row(
-            got["particles"],
-            f"{got['wall']:.2f}",
-            f"{got['cpu']:.2f}",
-            f"{others:.2f}",
-            f"{got['peak_mb']:.0f}",
-            f"{2**20 * (got['peak_mb'] - least['peak_mb']) / more:.0f}" if more else "",
-        )
-    print(f"\nexponent of the particle work: {exponent(sizes[1:], costs[1:]):.2f}")
 
 
 def steady():
@@ -383,27 +317,33 @@ def scope():
         )
 
 
-TABLES = {f.__name__: f for f in (profile, particles, solves, steady, scope, unknowns, cloud)}
+TABLES = {f.__name__: f for f in (profile, particles, solves, steady, scope)}
 
 
-def main():
-    """Print the tables that are asked for."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("names", nargs="*", metavar="NAME", help=f"of {', '.join(TABLES)}")
+def main(description, tables, apart_works):
+    """Print the tables that are asked for.
+
+    Args:
+        description: of the script.
+        tables: functions by name, which print a table each.
+        apart_works: functions that run in a process of their own, by name.
+    """
+    parser = argparse.ArgumentParser(description=description.splitlines()[0])
+    parser.add_argument("names", nargs="*", metavar="NAME", help=f"of {', '.join(tables)}")
     parser.add_argument("--apart", nargs="+", help=argparse.SUPPRESS)
     use_numba_cache()
     use_jit_cache()
     given = parser.parse_args()
     if given.apart:
         work, *arguments = given.apart
-        globals()[work](*arguments)
+        apart_works[work](*arguments)
         return
-    if wrong := [name for name in given.names if name not in TABLES]:
-        parser.error(f"no measurement {wrong[0]!r}; there are {', '.join(TABLES)}")
-    for name in given.names or TABLES:
-        print(f"\n## {name}: {TABLES[name].__doc__}\n")
-        TABLES[name]()
+    if wrong := [name for name in given.names if name not in tables]:
+        parser.error(f"no measurement {wrong[0]!r}; there are {', '.join(tables)}")
+    for name in given.names or tables:
+        print(f"\n## {name}: {tables[name].__doc__}\n")
+        tables[name]()
 
 
 if __name__ == "__main__":
-    main()
+    main(__doc__, TABLES, {"ended": ended})
