@@ -3,7 +3,6 @@
 Each prints a table. Seconds are CPU seconds of one process; they take some minutes together.
 """
 
-import argparse
 import json
 import subprocess
 import sys
@@ -12,18 +11,17 @@ import time
 from pathlib import Path
 
 import numpy as np
+from performance import ROOT, head, main, row
 
 from meshes.body_centred import body_centred_mesh
 from meshes.box import box_mesh
 from restoration import box_engine
 from restoration.box_engine import BoxEngine
 from restoration.check import describe
-from restoration.environment import use_jit_cache, use_numba_cache
 from restoration.layered import Layer, rates
 from restoration.resolve import load
 from restoration.run import march
 
-ROOT = Path(__file__).parents[1]
 DIAPIR = ROOT / "cases" / "diapir-3d" / "case.yaml"
 SMOOTH = 8  # degree of the curve that a ripple is measured from
 SIDE, DEPTH, HEIGHT, AMPLITUDE = 10e3, 3.5e3, 5e3, 200.0  # m, of the box and the wave in it
@@ -40,17 +38,6 @@ rocks:
 particles: {densify: 20}
 time: {marks: [0 Myr, 1 Myr]}
 """
-
-
-def row(*cells):
-    """Print a row of a table."""
-    print("| " + " | ".join(str(cell) for cell in cells) + " |", flush=True)
-
-
-def head(*cells):
-    """Print the head of a table."""
-    row(*cells)
-    row(*["---"] * len(cells))
 
 
 def begun(*overrides):
@@ -206,16 +193,5 @@ def memory():
 TABLES = {f.__name__: f for f in (growth, diagonals, ripples, solvers, memory)}
 
 
-def main():
-    """Print the tables that are asked for."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("names", nargs="*", default=list(TABLES), choices=[*TABLES, []])
-    use_numba_cache()
-    use_jit_cache()
-    for name in parser.parse_args().names:
-        print(f"\n## {name}: {TABLES[name].__doc__}\n")
-        TABLES[name]()
-
-
 if __name__ == "__main__":
-    main()
+    main(__doc__, TABLES, {})
