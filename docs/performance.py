@@ -40,6 +40,13 @@ PROFILED = {
     "diapir, one viscosity": (ONE, *SHORT),
     "diapir in three dimensions": (CASES / "diapir-3d" / "case.yaml", "time.marks=[0 Myr, 1 Myr]"),
     "graben": (CASES / "graben" / "case.yaml", "time.marks=[0 kyr, 17.5 kyr]", "certificate=off"),
+    "three dimensions, salt ten times weaker, field split": (
+        CASES / "diapir-3d" / "case.yaml",
+        "rocks.salt.viscosity=1e18 Pa s",
+        "solver={}",
+        "mesh.cells=[12, 12, 6]",
+        "time={marks: [0 Myr, 0.5 Myr], min_steps: 4}",
+    ),
 }
 SOLVING = "solve"
 

@@ -65,21 +65,21 @@ class Step:
     def velocity(self, x):
         """Return the velocity of the rows where they are, solving Stokes where the scheme asks."""
         engine, state = self.engine, self.state
-        share, first = next(self._stages), self._flow is None
+        share, first, found = next(self._stages), self._flow is None, None
         if first and not self.lead:
             flow = state.flow
         elif not first and self.scheme.frozen:
             flow = self._flow
         else:
-            flow = self._solved(x, state.time + share * self.dt)
+            flow, found = self._solved(x, state.time + share * self.dt)
         if self.slaving and flow is not self._flow:
             with engine.timed("surface"):
                 self.slaving.look(engine.grid)
                 flow = self.slaving.corrected(flow)
         self._flow, self._flow_grid = flow, engine.grid
+        cell, hats = found or self._located(x[: self.fixed])
         with engine.timed("advect"):
-            grid, rows = engine.grid, x[: self.fixed]
-            cell, hats = self._located(rows)
+            grid = engine.grid
             u = grid.sampler(grid.sampler.coefficients(flow.u), cell, hats)
             if engine.surface:
                 u = np.vstack([u, [grid.top.flux(flow) / self.width, 0.0]])
@@ -110,6 +110,7 @@ class Step:
         return x, float(np.percentile(off, 99))
 
     def _solved(self, x, time):
+        """Return the flow of the rows where they are, and cells and hats of the rows there."""
         engine, state = self.engine, self.state
         at = replace(state.particles, x=x[: self.particles])
         rows = with_points(state.lines, x[self._rows["lines"]])
@@ -122,7 +123,8 @@ class Step:
             cell, hats = self._located(x[: self.fixed])
             at = replace(at, cell=cell[: self.particles])
         before = self._flow_at if self._flow is not None and self.lead else None
-        return engine.solve(at, time, lines, hats[: self.particles], self.lead, before)
+        flow = engine.solve(at, time, lines, hats[: self.particles], self.lead, before)
+        return flow, (cell, hats)
 
     def _flow_at(self, points):
         """Return the velocity of the last stage at points, on the mesh it was solved on."""
@@ -131,10 +133,11 @@ class Step:
         return grid.sampler(grid.sampler.coefficients(self._flow.u), cell, hats)
 
     def _located(self, x):
+        """Return cells and hats of points in the mesh as it is."""
         grid = self.engine.grid
-        if grid is not self._grid:
-            self._grid, self._guess = grid, grid.index.guess(x)
         with self.engine.timed("advect"):
+            if grid is not self._grid:
+                self._grid, self._guess = grid, grid.index.guess(x)
             # What has left goes on with the rock at the wall, and so does what a stage carried
             # through a closed one: a velocity of zero there would be a jump.
             cell, hats = grid.index.locate(self.engine.within(x), self._guess)
