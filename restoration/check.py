@@ -6,7 +6,7 @@ import numpy as np
 
 from restoration.advection import SCHEMES
 from restoration.layered import restorable
-from restoration.plan import active, time_label, unknowns
+from restoration.plan import active, solved_directly, time_label, unknowns
 from restoration.scene import Table
 from restoration.seeding import count_points
 from restoration.stopping import asked
@@ -15,6 +15,10 @@ from restoration.units import show
 # Memory of a run: a base, MB, and bytes for each unknown and each particle; fitted to the table of
 # `docs/measure.py memory`.
 BASE_MB, PER_UNKNOWN, PER_PARTICLE = 400, 2400, 300
+# In three dimensions: a base, and bytes for each unknown by solver; the entries of factors grow as
+# the power 4/3 of the unknowns. Fitted to the table of `docs/boxes.py memory`.
+BOX_BASE_MB, PER_UNKNOWN_FIELDSPLIT = 550, 3300
+PER_FACTOR = {"P2-P1": 280, "P2b-P1dg": 120}  # bubbles fill little
 
 
 def describe(loaded, forecast=None):
@@ -56,7 +60,7 @@ def describe(loaded, forecast=None):
         "mesh_varies": scene.mesh.refine is not None or scene.mesh.interfaces != "particles",
         "unknowns": count,
         "particles": particles,
-        "memory_mb_about": round(BASE_MB + (count * PER_UNKNOWN + particles * PER_PARTICLE) / 1e6),
+        "memory_mb_about": _memory(scene, count, particles),
         "steps_at_least": steps,
         "stokes_solves_at_least": steps * SCHEMES[scene.time.scheme].solves + 1,
         "viscosity_contrast": float(scene.unit_viscosity.max() / scene.unit_viscosity.min()),
@@ -66,6 +70,16 @@ def describe(loaded, forecast=None):
         "forecast": forecast and vars(forecast),
         "restorability": restorable(scene),
     }
+
+
+def _memory(scene, unknowns, particles):
+    """Return the memory of a run, about, MB."""
+    base, size = BASE_MB, unknowns * PER_UNKNOWN
+    if scene.dim == 3:
+        base, direct = BOX_BASE_MB, solved_directly(scene)
+        size = PER_UNKNOWN_FIELDSPLIT * unknowns
+        size = PER_FACTOR[scene.mesh.element] * unknowns ** (4 / 3) if direct else size
+    return round(base + (size + particles * PER_PARTICLE) / 1e6)
 
 
 def describe_text(loaded, forecast=None):

@@ -140,10 +140,16 @@ def _solver(scene):
     return names[scene.solver.name] + given
 
 
+def solved_directly(scene):
+    """Return whether a box is solved by a factorisation."""
+    if scene.solver.name != "auto":
+        return scene.solver.name == "direct"
+    return unknowns(scene.cells, scene.mesh.element)[1] < FIELDSPLIT_FROM[3]
+
+
 def _solver_of_box(scene):
     """Return which solver the size of a box takes, in words."""
-    _, count = unknowns(scene.cells, scene.mesh.element)
-    if count < FIELDSPLIT_FROM[3]:
+    if solved_directly(scene):
         return f"solved directly: below {FIELDSPLIT_FROM[3]} unknowns"
     return "solved by FGMRES, velocity and pressure split: three dimensions"
 

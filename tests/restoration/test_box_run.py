@@ -7,7 +7,9 @@ import numpy as np
 import pytest
 
 from restoration.cli import main
+from restoration.errors import CaseError
 from restoration.resolve import load
+from restoration.saved import read_particles
 from tests.restoration.test_xdmf import read_all
 
 CASE = """
@@ -115,3 +117,8 @@ def test_unknowns_are_told_as_they_are(folder):
         scene = load(folder / "case.yaml", (f"mesh.element={element}",)).scene
         about = BoxEngine(scene).about()
         assert unknowns(scene.cells, element) == (about["cells"], about["unknowns"])
+
+
+def test_particles_of_three_dimensions_are_no_section(folder):
+    with pytest.raises(CaseError, match="three coordinates, and a section has two"):
+        read_particles(folder / "run/particles.xdmf")
