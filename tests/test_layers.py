@@ -98,6 +98,7 @@ ORDER = {
         "forecast",
         "check",
         "bench",
+        "trade",
         "cli",
     ],
     "restoration/bench": [
@@ -122,6 +123,16 @@ ORDER = {
         "peers",
         "pictures",
         "suite",
+    ],
+    "restoration/trade": [
+        "trials",
+        "choices",
+        "questions",
+        "worker",
+        "sweep",
+        "report",
+        "picture",
+        "command",
     ],
 }
 # What a package may import besides itself and the standard library; None for anything.
