@@ -96,6 +96,7 @@ ORDER = {
         "recorder",
         "run",
         "forecast",
+        "measured",
         "check",
         "bench",
         "trade",

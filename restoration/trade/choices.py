@@ -11,10 +11,11 @@ FINER = 1.7  # that the reference has
 STEPS = {"steps 2x longer": 0.5, "steps 4x longer": 0.25, "steps 2x shorter": 2.0}
 SCHEMES = ("euler", "midpoint", "rk3", "rk4")
 AVERAGES = (
-    ("rock between lines", "lines", "lines"),
-    ("density by hats", "hat", "hat"),
-    ("planes in cells", "linear", "linear"),
-    ("means of cells", "cell", "cell"),
+    ("transfer lines", "lines", "lines"),
+    ("transfer hat", "hat", "hat"),
+    ("transfer linear", "linear", "linear"),
+    ("viscosity linear", "projection", "linear"),
+    ("transfer cell", "cell", "cell"),
 )
 HALVED = "{levels: 1}"
 MOST_COURANT = 1e3  # that a case takes
@@ -97,9 +98,9 @@ def _rock(scene, quick):
     """Return how else rock may come to the mesh."""
     if len(scene.rocks) < 2:
         return []
-    fitted = Choice("rock", "mesh lines on contacts", {"mesh.interfaces": "fitted"})
+    fitted = Choice("rock", "fitted", {"mesh.interfaces": "fitted"})
     if scene.mesh.interfaces != "particles":
-        carried = Choice("rock", "rock by particles", {"mesh.interfaces": "particles"})
+        carried = Choice("rock", "particles", {"mesh.interfaces": "particles"})
         return [carried] if scene.mesh.interfaces == "fitted" else [fitted, carried]
     found = [fitted] + [
         Choice("rock", name, {"transfer.density": density, "transfer.viscosity": viscosity})
@@ -112,7 +113,7 @@ def _rock(scene, quick):
         means = {"harmonic", "geometric", "arithmetic"} - {scene.transfer.mean}
         found += [Choice("mean", f"{m} mean", {"transfer.mean": m}) for m in sorted(means)]
     if scene.mesh.refine is None:
-        found.append(Choice("refine", "cells halved at contacts", {"mesh.refine": HALVED}))
+        found.append(Choice("refine", "contacts refined once", {"mesh.refine": HALVED}))
     return found
 
 
@@ -162,8 +163,11 @@ def _solver(scene):
 
 
 def presets_of(scene):
-    """Return the presets as choices, by name: cells along the shorter side, particles and steps."""
-    found = {}
+    """Return the presets as choices: cells along the shorter side, particles and steps.
+
+    Each comes as it is and, where particles carry the rock, fitted too.
+    """
+    found = []
     for name, preset in PRESETS.items():
         cells = cells_of(scene, preset["cells"] / min(scene.cells)).entries
         plan = scene.time
@@ -171,7 +175,10 @@ def presets_of(scene):
         entries = {"time.courant": courant, "time.min_steps": preset["min_steps"]}
         if scene.cloud is None:
             entries["particles.per_cell"] = preset["per_cell"]
-        found[name] = Choice("preset", f"preset {name}", cells | entries)
+        found.append(Choice("preset", f"preset {name}", cells | entries))
+    if scene.mesh.interfaces == "particles" and len(scene.rocks) > 1:
+        fitted = Choice("rock", "fitted", {"mesh.interfaces": "fitted"})
+        found += [together(preset, fitted) for preset in found]
     return found
 
 
@@ -190,11 +197,11 @@ def references_of(scene):
         ]
     else:
         parts += _time(scene, False)[-1:]
-    ways = [Choice("rock", "mesh lines on contacts", {"mesh.interfaces": "fitted"})]
+    ways = [Choice("rock", "fitted", {"mesh.interfaces": "fitted"})]
     if scene.mesh.interfaces == "particles":
         ways.append(Choice("rock", *_lines()))
     else:
-        ways.append(Choice("rock", "rock by particles", {"mesh.interfaces": "particles"}))
+        ways.append(Choice("rock", "particles", {"mesh.interfaces": "particles"}))
     return [together(way, *parts) for way in ways] + [together(*parts)]
 
 

@@ -7,10 +7,10 @@ from restoration.trade.report import compared, truth_text
 from restoration.trade.trials import done, front
 from restoration.units import number
 
-WIDTH, HEIGHT = 1900, 1150  # pixels
-LEFT, BOTTOM, RIGHT, TOP = 130, 110, 620, 120
+WIDTH, HEIGHT = 1960, 1150  # pixels
+LEFT, BOTTOM, RIGHT, TOP = 130, 110, 640, 120
 FRONT, OTHER = "#c00020", "#7d8a99"
-LINE, LONGEST = 27, 46  # height of a line of the key, pixels; characters of its labels
+LINE, LONGEST = 27, 52  # height of a line of the key, pixels; characters of its labels
 
 
 @style()
@@ -60,7 +60,7 @@ def draw_trade(path, trials, subject):
         label = f"{i + 1}  {shorten(trial.label, LONGEST)}"
         page.text(left, top - LINE * (i + 1), label, size=8, weight=weight)
     page.text(LEFT, height - 45, shorten(subject.title, 95), weight="bold", size=11)
-    page.text(LEFT, height - 80, shorten(truth_text(subject), 120), size=8)
+    page.text(LEFT, height - 80, shorten(truth_text(subject), 150), size=8)
     page.save(path)
 
 

@@ -127,13 +127,13 @@ def elements(names):
 AVERAGES = [
     Choice("rock", name, {"transfer.density": density, "transfer.viscosity": viscosity})
     for name, density, viscosity in (
-        ("by hats", "hat", "hat"),
-        ("means of cells", "cell", "cell"),
-        ("rock between lines", "lines", "lines"),
+        ("transfer hat", "hat", "hat"),
+        ("transfer cell", "cell", "cell"),
+        ("transfer lines", "lines", "lines"),
     )
 ]
-FITTED = Choice("rock", "mesh lines on contacts", {"mesh.interfaces": "fitted"})
-PARTICLES = Choice("rock", "rock by particles", {"mesh.interfaces": "particles"})
+FITTED = Choice("rock", "fitted", {"mesh.interfaces": "fitted"})
+PARTICLES = Choice("rock", "particles", {"mesh.interfaces": "particles"})
 DISCONTINUOUS = Choice("element", "P2b-P1dg", {"mesh.element": "P2b-P1dg"})
 
 

@@ -36,28 +36,29 @@ def compared(trials):
     return [trial for trial in trials if trial.axes != ("reference",)]
 
 
-def table(trials, subject, head="{} error, {} error"):
-    """Return the rows of the table, the head first, the cheapest trial next and failures last."""
+def table_of(trials, unit, columns):
+    """Return the rows of the table, the head first, the cheapest trial next and failures last.
+
+    Args:
+        trials: list of `trials.Trial`.
+        unit, columns: of the errors, see `sweep.Subject`.
+    """
     trials = compared(trials)
     ahead = front(trials)
-    rows = [
-        ("", "settings", *(f"{name}" for name in subject.columns), "CPU", "memory", "unknowns")
-        + ("steps", "solves")
-    ]
+    rows = [("", "settings", *columns, "CPU", "memory", "unknowns", "steps", "solves")]
     for trial in sorted(done(trials), key=lambda t: t.cpu_s):
         rows.append(
             (
                 MARK if trial in ahead else "",
                 trial.label + (f" ({trial.note})" if trial.note else ""),
-                error_text(trial.error, subject.unit),
-                error_text(trial.most, subject.unit),
+                error_text(trial.error, unit),
+                error_text(trial.most, unit),
                 cost_text(trial.cpu_s),
                 f"{trial.memory_mb} MB",
                 *("" if n is None else str(n) for n in (trial.unknowns, trial.steps, trial.solves)),
             )
         )
-    rows += [("", trial.label, trial.failed, *[""] * 6) for trial in trials if trial.failed]
-    return rows
+    return rows + [("", t.label, t.failed, *[""] * 6) for t in trials if t.failed]
 
 
 def table_text(rows):
@@ -79,7 +80,9 @@ def table_text(rows):
 def table_markdown(rows):
     """Return the rows of a table in Markdown."""
     lines = ["| " + " | ".join(row) + " |" for row in rows]
-    return "\n".join([lines[0], "|---" * len(rows[0]) + "|", *lines[1:]])
+    return "\n".join([lines[0], "|---" * len(rows[0]) + "|", *lines[1:]]).replace(
+        "| * |", "| **\N{BULLET}** |"
+    )
 
 
 def truth_text(subject):
@@ -110,7 +113,7 @@ def given_of(trials):
 
 def words(trials, subject):
     """Return all that a sweep has to say, as text."""
-    given, parts = given_of(trials), [table_text(table(trials, subject))]
+    given, parts = given_of(trials), [table_text(table_of(trials, subject.unit, subject.columns))]
     if not done(compared(trials)):
         return "nothing was measured"
     parts += [f"{MARK} none other is both cheaper and better; {truth_text(subject)}"]

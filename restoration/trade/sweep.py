@@ -5,6 +5,7 @@ import os
 import select
 import subprocess
 import sys
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -12,6 +13,7 @@ import numpy as np
 
 import restoration
 from restoration.errors import CaseError, SolveError
+from restoration.measured import kind_of
 from restoration.trade.choices import (
     FINER,
     Choice,
@@ -55,8 +57,9 @@ class Worker:
             request: see `worker.answer`.
         """
         process = self._process = self._process or _begun()
-        process.stdin.write(json.dumps(request) + "\n")
-        process.stdin.flush()
+        with suppress(BrokenPipeError):  # that it has died is told below
+            process.stdin.write(json.dumps(request) + "\n")
+            process.stdin.flush()
         if self.limit and not select.select([process.stdout], [], [], self.limit)[0]:
             self._end()
             return {"failed": f"stopped after {self.limit:.0f} s"}
@@ -64,7 +67,7 @@ class Worker:
         if line:
             return json.loads(line)
         code = process.wait()
-        self._process = None
+        self._end()
         return {"failed": f"the process ended with code {code}; out of memory?"}
 
     def _end(self):
@@ -72,7 +75,8 @@ class Worker:
             self._process.kill()
             self._process.wait()
             for pipe in (self._process.stdin, self._process.stdout):
-                pipe.close()
+                with suppress(BrokenPipeError):  # what was never sent
+                    pipe.close()
             self._process = None
 
 
@@ -182,7 +186,7 @@ class CaseSubject(Subject):
 
     def presets(self):
         """Return the presets as choices."""
-        return list(presets_of(self.scene).values())
+        return presets_of(self.scene)
 
     def request(self, entries):
         """Return the request for settings."""
@@ -238,23 +242,6 @@ class CaseSubject(Subject):
         }
 
 
-def kind_of(scene):
-    """Return what kind of scene it is, as plain values: what decides what its settings give."""
-    viscosity = scene.unit_viscosity
-    return {
-        "height_m": scene.outline.height,
-        "free": scene.free,
-        "faults": bool(scene.faults),
-        "contrast": float(f"{viscosity.max() / viscosity.min():.3g}"),
-        "cells": min(scene.cells),
-        "interfaces": scene.mesh.interfaces,
-        "density": scene.transfer.density,
-        "scheme": scene.time.scheme,
-        "courant": scene.time.courant,
-        "min_steps": scene.time.min_steps,
-    }
-
-
 def why(answer):
     """Return why an answer is none."""
     return answer.get("failed") or answer.get("refused")
@@ -303,7 +290,7 @@ def sweep(subject, worker, quick=False, tell=None):
     worker.limit = max(LEAST_S, PATIENCE * given.wall_s)
     choices = subject.choices(quick)
     found = yield from _around(Choice("", ""), given, choices, tried)
-    for choice in subject.presets():
+    for choice in [] if quick else subject.presets():
         trial = tried(choice)
         if trial:
             yield trial

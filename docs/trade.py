@@ -1,0 +1,102 @@
+"""The fronts of docs/trade.md: ``.venv/bin/python docs/trade.py [NAME...]``, by default all.
+
+Each is swept by the command that its block of the page begins with, kept in docs/trade/, and its
+block written anew. With ``--page`` nothing is swept.
+"""
+
+import argparse
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+from restoration.trade.report import error_text, table_markdown, table_of
+from restoration.trade.trials import Trial
+
+ROOT = Path(__file__).parents[1]
+PAGE, KEPT = ROOT / "docs/trade.md", ROOT / "docs/trade"
+# Case or benchmark by the name of its files, and overrides that keep the sweep short.
+SWEEPS = {
+    "rayleigh-taylor": ("rayleigh-taylor",),
+    "falling-block": ("falling-block",),
+    "solcx": ("solcx",),
+    "surface-relaxation": ("surface-relaxation",),
+    "van-keken": ("van-keken",),
+    "diapir-isoviscous": (
+        "cases/diapir-isoviscous",
+        "mesh.cells=24",
+        "time.marks=[0 Myr, 3 Myr]",
+        "particles.densify=20",
+    ),
+    "diapir-two-viscosities": (
+        "cases/diapir-two-viscosities",
+        "mesh.cells=20",
+        "time.marks=[0 Myr, 0.6 Myr]",
+    ),
+    "graben": (
+        "cases/graben",
+        "mesh.cells=[24, 8]",
+        "time.marks=[0 kyr, 10 kyr]",
+        "time.min_steps=6",
+    ),
+}
+
+
+def measure(name):
+    """Sweep a case or a benchmark by the command, and keep what it finds."""
+    what, *sets = SWEEPS[name]
+    flags = [part for text in sets for part in ("--set", text)]
+    command = [sys.executable, "-m", "restoration.cli", "trade", what, *flags, "--out", str(KEPT)]
+    subprocess.run(command, check=True, cwd=ROOT, stdout=subprocess.DEVNULL)
+
+
+def block(name):
+    """Return what the page says of a sweep."""
+    found = json.loads((KEPT / f"{name}.json").read_text(encoding="utf-8"))
+    ahead = [row.pop("front") for row in found["trials"]]
+    trials = [Trial(**{**row, "axes": tuple(row["axes"])}) for row in found["trials"]]
+    shown = [
+        trial
+        for trial, best in zip(trials, ahead, strict=True)
+        if best or not trial.axes or "preset" in trial.axes
+    ]
+    seconds = sum(trial.cpu_s or 0 for trial in trials)
+    truth = f"Errors ({' / '.join(found['columns'])}) against {found['truth']}"
+    if found["truth_good_to"]:
+        truth += f", itself good to about {error_text(found['truth_good_to'], found['unit'])}"
+    return "\n\n".join(
+        [
+            f"`{found['command']}`: {len(trials)} trials, {seconds:.0f} CPU s. {truth}.",
+            table_markdown(table_of(shown, found["unit"], found["columns"])),
+            "\n".join(f"- {advice}" for advice in found["recommendation"]),
+            f"![error against cost: {found['title']}](trade/{name}.png)",
+        ]
+    )
+
+
+def write_page():
+    """Write the blocks of the page anew, between their marks."""
+    text = PAGE.read_text(encoding="utf-8")
+    for name in SWEEPS:
+        begin, end = f"<!-- {name} -->\n", f"\n<!-- end of {name} -->"
+        head, _, rest = text.partition(begin)
+        if rest and (KEPT / f"{name}.json").is_file():
+            text = head + begin + block(name) + end + rest.partition(end)[2]
+    PAGE.write_text(text, encoding="utf-8")
+
+
+def main():
+    """Sweep what is asked for, and write the page."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("names", nargs="*", metavar="NAME", help=f"of {', '.join(SWEEPS)}")
+    parser.add_argument("--page", action="store_true", help="sweep nothing, write the page")
+    given = parser.parse_args()
+    if wrong := [name for name in given.names if name not in SWEEPS]:
+        parser.error(f"no sweep {wrong[0]!r}; there are {', '.join(SWEEPS)}")
+    for name in [] if given.page else given.names or SWEEPS:
+        measure(name)
+    write_page()
+
+
+if __name__ == "__main__":
+    main()
