@@ -24,20 +24,21 @@ SWEEPS = {
     "van-keken": ("van-keken",),
     "diapir-isoviscous": (
         "cases/diapir-isoviscous",
-        "mesh.cells=24",
+        "mesh.cells=20",
         "time.marks=[0 Myr, 3 Myr]",
-        "particles.densify=20",
+        "time.courant=1",
     ),
     "diapir-two-viscosities": (
         "cases/diapir-two-viscosities",
         "mesh.cells=20",
         "time.marks=[0 Myr, 0.6 Myr]",
+        "time.courant=1",
     ),
     "graben": (
         "cases/graben",
         "mesh.cells=[24, 8]",
         "time.marks=[0 kyr, 10 kyr]",
-        "time.min_steps=6",
+        "time.min_steps=3",
     ),
 }
 

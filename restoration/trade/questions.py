@@ -124,10 +124,12 @@ def elements(names):
     return axis("element", "mesh.element", names)
 
 
+# The first is what benchmarks have as they are, the falling block by particles.
 AVERAGES = [
     Choice("rock", name, {"transfer.density": density, "transfer.viscosity": viscosity})
     for name, density, viscosity in (
         ("transfer hat", "hat", "hat"),
+        ("transfer linear", "linear", "linear"),
         ("transfer cell", "cell", "cell"),
         ("transfer lines", "lines", "lines"),
     )
@@ -246,7 +248,7 @@ QUESTIONS = {
             *axis("refine", "mesh.refine", (0, 1, 2, 4), "halved {} times at the contact"),
             *elements(("P2b-P1dg", "P2-P1dg", "MINI")),
             FITTED,
-            *AVERAGES,
+            *(way for way in AVERAGES if way.name != "transfer linear"),
             *axis("mean", "transfer.mean", ("harmonic", "arithmetic"), "{} mean"),
             *axis("particles", "particles.per_cell", (1, 16), "{} particles a cell"),
         ),
@@ -257,7 +259,7 @@ QUESTIONS = {
         "",
         "converged solution, good to 1e-4",
         {
-            "mesh.cells": 25,
+            "mesh.cells": 24,  # the block's sides lie on lines of 10, 20 or 30 by chance
             "mesh.element": "P2b-P1dg",
             "mesh.interfaces": "fitted",
             "mesh.refine": 3,
@@ -267,14 +269,14 @@ QUESTIONS = {
         },
         {"mesh.cells": 8, "mesh.refine": 1},
         (
-            *axis("mesh", "mesh.cells", (6, 10, 16, 40), "{} cells"),
+            *axis("mesh", "mesh.cells", (6, 9, 14, 38), "{} cells"),
             *axis("refine", "mesh.refine", (0, 1, 2), "halved {} times at the block"),
             *elements(("P2-P1", "P2-P1dg", "MINI")),
             PARTICLES,
-            Choice(
-                "rock", "particles, planes", PARTICLES.entries | {"transfer.viscosity": "linear"}
+            *(
+                Choice("rock", f"particles, {way.name}", PARTICLES.entries | way.entries)
+                for way in AVERAGES[1:]
             ),
-            Choice("rock", "particles, lines", PARTICLES.entries | AVERAGES[-1].entries),
         ),
         falling_block,
     ),

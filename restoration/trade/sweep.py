@@ -29,8 +29,10 @@ PATIENCE, LEAST_S = (
     120.0,
 )  # times what was given took, wall, and the least, until a trial ends
 TOO_DEAR = 12.0  # times what was given cost, as far as the cells tell, that are not tried,
-CHEAP_S = 60.0  # but where that is less than this
-GROWTH = 2.8  # exponent of the cost of a march against cells along a side: 2-D, and shorter steps
+CHEAP_S = 200.0  # but where that is less than this
+# Exponent of the cost of a march against cells along a side: as in 2-D with shorter steps, until
+# it is known; and bounds of the believable.
+GROWTH, GROWTHS = 2.8, (1.5, 3.2)
 # Kinds of settings that are changed once more, one at a time, of what goes best together.
 AGAIN = ("mesh", "element", "particles", "stepper", "step")
 ORDER = 2  # of the error against cells, as the reference is judged
@@ -156,8 +158,8 @@ class BenchmarkSubject(Subject):
         """Return the request for settings."""
         return {"benchmark": self.name, "entries": self.settings | entries}
 
-    def dearer(self, entries):
-        """Return how many times dearer than what was given settings are, by their cells."""
+    def finer(self, entries):
+        """Return how many times smaller cells settings have; of a benchmark none is too dear."""
         return 1.0
 
 
@@ -192,10 +194,10 @@ class CaseSubject(Subject):
         """Return the request for settings."""
         return {"case": self.case, "entries": entries}
 
-    def dearer(self, entries):
-        """Return how many times dearer than what was given settings are, by their cells."""
+    def finer(self, entries):
+        """Return how many times smaller cells settings have than what was given."""
         cells = entries.get("mesh.cells")
-        return (min(cells) / min(self.scene.cells)) ** GROWTH if cells else 1.0
+        return min(cells) / min(self.scene.cells) if cells else 1.0
 
     def prepare(self, ask, tell):
         """Yield the trials of the reference: those that failed, it, and the same on larger cells.
@@ -265,7 +267,7 @@ def sweep(subject, worker, quick=False, tell=None):
     """
     tell = tell or (lambda text: None)
     yield from subject.prepare(worker.ask, tell)
-    seen, given = set(), None
+    seen, given, meshes = set(), None, []
 
     def tried(choice):
         key = json.dumps(choice.entries, sort_keys=True)
@@ -273,7 +275,7 @@ def sweep(subject, worker, quick=False, tell=None):
             return None
         seen.add(key)
         if given:
-            dearer = subject.dearer(choice.entries)
+            dearer = subject.finer(choice.entries) ** growth(subject, meshes)
             seconds = dearer * given.cpu_s
             if dearer > TOO_DEAR and seconds > CHEAP_S:
                 return _trial(choice, {"failed": f"not tried: would cost about {seconds:.0f} s"})
@@ -290,6 +292,7 @@ def sweep(subject, worker, quick=False, tell=None):
     worker.limit = max(LEAST_S, PATIENCE * given.wall_s)
     choices = subject.choices(quick)
     found = yield from _around(Choice("", ""), given, choices, tried)
+    meshes += [given, *(trial for _, trial in found if trial.axes == ("mesh",))]
     for choice in [] if quick else subject.presets():
         trial = tried(choice)
         if trial:
@@ -301,6 +304,15 @@ def sweep(subject, worker, quick=False, tell=None):
     found = yield from _around(winner, best, again, tried)
     winner, best = yield from _together(winner, best, found, tried)
     yield from _around(winner, best, [c for c in choices if c.axis == "mesh"], tried)
+
+
+def growth(subject, meshes):
+    """Return the exponent of the cost against cells along a side, by the finest two meshes."""
+    points = sorted((subject.finer(t.entries), t.cpu_s) for t in meshes)[-2:]
+    if len(points) < 2 or points[0][0] == points[1][0]:
+        return GROWTH
+    (coarse, less), (fine, more) = points
+    return float(np.clip(np.log(more / less) / np.log(fine / coarse), *GROWTHS))
 
 
 def _around(start, given, choices, tried):

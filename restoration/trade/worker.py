@@ -8,7 +8,6 @@ import ctypes
 import gc
 import json
 import os
-import resource
 import sys
 import time
 from dataclasses import replace
@@ -34,19 +33,27 @@ WARMED = (
 
 
 class Meter:
-    """Cost of what is done in its context: CPU and wall seconds, greatest memory."""
+    """Cost of what is done in its context: CPU and wall seconds, greatest memory.
+
+    What earlier trials have left in memory does not count.
+    """
+
+    base_mb = None  # of the process before its first trial
 
     def __enter__(self):
         gc.collect()
-        ctypes.CDLL(None).malloc_trim(0)  # else what an earlier trial has left counts too
+        ctypes.CDLL(None).malloc_trim(0)
         with open("/proc/self/clear_refs", "w") as peak:
-            peak.write("5")
+            peak.write("5")  # the greatest memory counts from now on
+        self.before = memory_mb("VmRSS")
+        Meter.base_mb = Meter.base_mb or self.before
         self.wall, self.cpu = time.perf_counter(), time.process_time()
         return self
 
     def __exit__(self, *_):
         self.wall_s = time.perf_counter() - self.wall
         self.cpu_s = time.process_time() - self.cpu
+        self.memory_mb = memory_mb("VmHWM") - self.before + Meter.base_mb
 
     @property
     def cost(self):
@@ -54,16 +61,14 @@ class Meter:
         return {
             "cpu_s": round(self.cpu_s, 3),
             "wall_s": round(self.wall_s, 3),
-            "memory_mb": round(peak_mb()),
+            "memory_mb": round(self.memory_mb),
         }
 
 
-def peak_mb():
-    """Return the greatest resident memory since it was last reset, MB."""
-    for line in Path("/proc/self/status").read_text().splitlines():
-        if line.startswith("VmHWM"):
-            return int(line.split()[1]) / 1024
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+def memory_mb(name):
+    """Return a number of the memory of this process, MB: ``VmRSS`` now, ``VmHWM`` at most."""
+    lines = Path("/proc/self/status").read_text().splitlines()
+    return next(int(line.split()[1]) for line in lines if line.startswith(name)) / 1024
 
 
 def one_way(marks):
