@@ -16,11 +16,12 @@ from restoration.words import hint
 from restoration.writing import disk_faults, write_text
 
 STOPPED = 75  # exit code, see docs/design.md
+SHIPPED = Path(__file__).parents[2] / "cases"
 SUFFIXES = (".yaml", ".yml")
 
 
 def subject_of(name, sets=(), outside=False):
-    """Return what a name means: a case file, its folder, or a benchmark.
+    """Return what a name means: a case file, its folder, a benchmark, or a case that is shipped.
 
     Args:
         name: as given.
@@ -32,13 +33,15 @@ def subject_of(name, sets=(), outside=False):
     """
     if name in QUESTIONS:
         return BenchmarkSubject(name, QUESTIONS[name], _settings(QUESTIONS[name], sets))
-    path = Path(name)
-    if path.is_dir() and (path / "case.yaml").is_file():
+    path, shipped = Path(name), {case.parent.name: case for case in SHIPPED.glob("*/case.yaml")}
+    if (path / "case.yaml").is_file():
         path = path / "case.yaml"
+    elif name in shipped and not path.exists():
+        path = shipped[name]
     if path.is_file() or path.suffix in SUFFIXES:
         return CaseSubject(path, load(path, tuple(sets), outside).scene, sets, outside)
     what = f"'{name}' is no case file, and no benchmark whose cost can be traded"
-    raise CaseError(what + hint(name, QUESTIONS))
+    raise CaseError(what + hint(name, [*QUESTIONS, *sorted(shipped)]))
 
 
 def _settings(question, sets):

@@ -30,6 +30,7 @@ def flags(sets):
     [
         (["solcxx"], "did you mean 'solcx'"),
         (["no-such.yaml"], "no-such.yaml"),
+        (["graven"], "did you mean 'graben'"),
         (["solcx", "--set", "mesh.cell=3"], "did you mean 'mesh.cells'"),
         (["solcx", "--set", "mesh.cells=many"], "'many' is no int"),
         ([str(DEMO), "--set", "mesh.elemnt=MINI"], "element"),
@@ -42,8 +43,9 @@ def test_what_is_wrong_is_named(arguments, said, capsys):
     assert "Traceback" not in error
 
 
-def test_a_folder_is_its_case():
-    assert subject_of(str(DEMO), TINY).name == "diapir-isoviscous"
+@pytest.mark.parametrize("name", [DEMO, DEMO / "case.yaml", "diapir-isoviscous"])
+def test_a_case_goes_by_its_folder_or_its_name(name):
+    assert subject_of(str(name), TINY).name == "diapir-isoviscous"
 
 
 @pytest.mark.slow
