@@ -24,10 +24,9 @@ from restoration.trade.choices import (
 )
 from restoration.trade.trials import Trial, gain, mesh_slope, promising
 
-PATIENCE, LEAST_S = (
-    20.0,
-    120.0,
-)  # times what was given took, wall, and the least, until a trial ends
+# CPU seconds of a trial until it is ended: so many times what was given took, and the least.
+PATIENCE, LEAST_S = 20.0, 300.0
+LOOK_S = 1.0  # between two looks at that
 TOO_DEAR = 12.0  # times what was given cost, as far as the cells tell, that are not tried,
 CHEAP_S = 200.0  # but where that is less than this
 # Exponent of the cost of a march against cells along a side: as in 2-D with shorter steps, until
@@ -41,7 +40,11 @@ MEASURED += ("factorisations", "failed", "note")
 
 
 class Worker:
-    """A process of its own that measures, see `worker`; begun anew where it dies."""
+    """A process of its own that measures, see `worker`; begun anew where it dies.
+
+    Attributes:
+        limit: CPU seconds after which a trial is ended, or None.
+    """
 
     def __init__(self):
         self._process, self.limit = None, None
@@ -62,9 +65,11 @@ class Worker:
         with suppress(BrokenPipeError):  # that it has died is told below
             process.stdin.write(json.dumps(request) + "\n")
             process.stdin.flush()
-        if self.limit and not select.select([process.stdout], [], [], self.limit)[0]:
-            self._end()
-            return {"failed": f"stopped after {self.limit:.0f} s"}
+        begin = _cpu_s(process.pid)
+        while not select.select([process.stdout], [], [], LOOK_S)[0]:
+            if self.limit and _cpu_s(process.pid) - begin > self.limit:
+                self._end()
+                return {"failed": f"ended after {self.limit:.0f} CPU s"}
         line = process.stdout.readline()
         if line:
             return json.loads(line)
@@ -80,6 +85,14 @@ class Worker:
                 with suppress(BrokenPipeError):  # what was never sent
                     pipe.close()
             self._process = None
+
+
+def _cpu_s(process):
+    """Return the CPU seconds of a process by its id, 0 where it has ended."""
+    with suppress(OSError):
+        fields = Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()
+        return sum(map(int, fields[11:13])) / os.sysconf("SC_CLK_TCK")
+    return 0.0
 
 
 def _begun():
@@ -261,7 +274,7 @@ def sweep(subject, worker, quick=False, tell=None):
 
     Args:
         subject: `Subject`.
-        worker: offers ``ask(request)`` and ``limit``, s.
+        worker: offers ``ask(request)`` and takes a ``limit``, CPU s.
         quick: few of them.
         tell: function of a text.
     """
@@ -289,7 +302,7 @@ def sweep(subject, worker, quick=False, tell=None):
     yield given
     if given.failed:
         raise SolveError(f"what was given cannot be compared with: {given.failed}")
-    worker.limit = max(LEAST_S, PATIENCE * given.wall_s)
+    worker.limit = max(LEAST_S, PATIENCE * given.cpu_s)
     choices = subject.choices(quick)
     found = yield from _around(Choice("", ""), given, choices, tried)
     meshes += [given, *(trial for _, trial in found if trial.axes == ("mesh",))]

@@ -126,3 +126,10 @@ def test_a_worker_that_dies_is_a_finding():
         worker._process.wait()
         assert "failed" in worker.ask({"benchmark": "no such", "entries": {}})
         assert "failed" in worker.ask({"benchmark": "no such", "entries": {}})
+
+
+def test_a_trial_that_takes_too_long_is_ended():
+    with Worker() as worker:
+        worker.limit = 0.2
+        request = {"benchmark": "solcx", "entries": {"mesh.cells": 400}}
+        assert worker.ask(request) == {"failed": "ended after 0 CPU s"}
