@@ -10,7 +10,8 @@ import subprocess
 import sys
 from pathlib import Path
 
-from restoration.trade.report import error_text, table_markdown, table_of
+from restoration.entries import PRESETS
+from restoration.trade.report import cost_text, error_text, table_markdown, table_of
 from restoration.trade.trials import Trial
 
 ROOT = Path(__file__).parents[1]
@@ -51,9 +52,15 @@ def measure(name):
     subprocess.run(command, check=True, cwd=ROOT, stdout=subprocess.DEVNULL)
 
 
+def kept(name):
+    """Return what a sweep has found, or None where it was not made yet."""
+    path = KEPT / f"{name}.json"
+    return json.loads(path.read_text(encoding="utf-8")) if path.is_file() else None
+
+
 def block(name):
     """Return what the page says of a sweep."""
-    found = json.loads((KEPT / f"{name}.json").read_text(encoding="utf-8"))
+    found = kept(name)
     ahead = [row.pop("front") for row in found["trials"]]
     trials = [Trial(**{**row, "axes": tuple(row["axes"])}) for row in found["trials"]]
     shown = [
@@ -75,14 +82,38 @@ def block(name):
     )
 
 
+def presets():
+    """Return what the page says of the presets: what they set, and gave where they were measured."""
+    rows = [("preset", *next(iter(PRESETS.values())))]
+    rows += [(name, *map(str, preset.values())) for name, preset in PRESETS.items()]
+    gave = [("case", *(f"{name}{way}" for way in ("", ", fitted") for name in PRESETS))]
+    for name in SWEEPS:
+        found = kept(name)
+        trials = {trial["label"]: trial for trial in found["trials"]} if found else {}
+        texts = [gave_text(trials.get(f"preset {column}")) for column in gave[0][1:]]
+        if any(texts):
+            gave.append((name, *texts))
+    return f"{table_markdown(rows)}\n\n{table_markdown(gave)}"
+
+
+def gave_text(trial):
+    """Return what a preset gave and cost, in words."""
+    if trial is None:
+        return ""
+    if trial["failed"]:
+        return trial["failed"]
+    return f"{error_text(trial['error'], 'm')}, {cost_text(trial['cpu_s'])}"
+
+
 def write_page():
     """Write the blocks of the page anew, between their marks."""
     text = PAGE.read_text(encoding="utf-8")
-    for name in SWEEPS:
-        begin, end = f"<!-- {name} -->\n", f"\n<!-- end of {name} -->"
-        head, _, rest = text.partition(begin)
-        if rest and (KEPT / f"{name}.json").is_file():
-            text = head + begin + block(name) + end + rest.partition(end)[2]
+    blocks = {name: block(name) for name in SWEEPS if kept(name)} | {"presets": presets()}
+    for name, written in blocks.items():
+        begin, end = f"<!-- {name} -->", f"<!-- end of {name} -->"
+        head, rest = text.split(begin)
+        _, tail = rest.split(end)
+        text = f"{head}{begin}\n{written}\n{end}{tail}"
     PAGE.write_text(text, encoding="utf-8")
 
 

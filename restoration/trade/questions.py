@@ -19,6 +19,7 @@ from restoration.engine import StokesEngine
 from restoration.run import march
 from restoration.scene import MeshPlan, RefinePlan, SolverPlan, Transfer
 from restoration.trade.choices import Choice
+from restoration.words import counted
 
 PLANE = ("P2-P1", "P2b-P1dg", "P2-P1dg", "MINI", "Q2-Q1", "Q2-P1dg")
 
@@ -133,6 +134,10 @@ AVERAGES = [
         ("transfer cell", "cell", "cell"),
         ("transfer lines", "lines", "lines"),
     )
+]
+PER_CELL = [
+    Choice("particles", f"{counted(count, 'particle')} a cell", {"particles.per_cell": count})
+    for count in (1, 16)
 ]
 FITTED = Choice("rock", "fitted", {"mesh.interfaces": "fitted"})
 PARTICLES = Choice("rock", "particles", {"mesh.interfaces": "particles"})
@@ -250,7 +255,7 @@ QUESTIONS = {
             FITTED,
             *(way for way in AVERAGES if way.name != "transfer linear"),
             *axis("mean", "transfer.mean", ("harmonic", "arithmetic"), "{} mean"),
-            *axis("particles", "particles.per_cell", (1, 16), "{} particles a cell"),
+            *PER_CELL,
         ),
         rayleigh_taylor,
     ),
@@ -270,7 +275,7 @@ QUESTIONS = {
         {"mesh.cells": 8, "mesh.refine": 1},
         (
             *axis("mesh", "mesh.cells", (6, 9, 14, 38), "{} cells"),
-            *axis("refine", "mesh.refine", (0, 1, 2), "halved {} times at the block"),
+            *axis("refine", "mesh.refine", (0, 1, 2, 4, 5), "halved {} times at the block"),
             *elements(("P2-P1", "P2-P1dg", "MINI")),
             PARTICLES,
             *(
@@ -350,7 +355,7 @@ QUESTIONS = {
             *elements(("P2b-P1dg", "P2-P1dg", "MINI", "Q2-Q1")),
             FITTED,
             *AVERAGES,
-            *axis("particles", "particles.per_cell", (1, 16), "{} particles a cell"),
+            *PER_CELL,
             *axis("stepper", "time.scheme", ("euler", "midpoint", "rk3")),
             *axis("step", "time.courant", (0.5, 2.0, 4.0), "courant {}"),
         ),

@@ -22,7 +22,7 @@ from restoration.trade.choices import (
     references_of,
     together,
 )
-from restoration.trade.trials import Trial, gain, mesh_slope, promising
+from restoration.trade.trials import BETTER, Trial, gain, mesh_slope, promising
 
 # CPU seconds of a trial until it is ended: so many times what was given took, and the least.
 PATIENCE, LEAST_S = 20.0, 300.0
@@ -298,25 +298,37 @@ def sweep(subject, worker, quick=False, tell=None):
             return None
         return _trial(choice, subject.judged(answer | {"failed": why(answer) or ""}))
 
-    given = tried(Choice("", "as given"))
+    nothing = Choice("", "as given")
+    given = tried(nothing)
     yield given
     if given.failed:
         raise SolveError(f"what was given cannot be compared with: {given.failed}")
     worker.limit = max(LEAST_S, PATIENCE * given.cpu_s)
     choices = subject.choices(quick)
-    found = yield from _around(Choice("", ""), given, choices, tried)
+    found = singles = yield from _around(nothing, choices, tried)
     meshes += [given, *(trial for _, trial in found if trial.axes == ("mesh",))]
     for choice in [] if quick else subject.presets():
         trial = tried(choice)
         if trial:
             yield trial
-    winner, best = yield from _together(Choice("", ""), given, found, tried)
+    winner, best = yield from _together(nothing, given, found, tried)
     if best is given:
         return
     again = [c for c in choices if c.axis in (AGAIN[:1] if quick else AGAIN)]
-    found = yield from _around(winner, best, again, tried)
+    found = yield from _around(winner, again, tried)
     winner, best = yield from _together(winner, best, found, tried)
-    yield from _around(winner, best, [c for c in choices if c.axis == "mesh"], tried)
+    yield from _around(winner, [c for c in choices if c.axis == "mesh"], tried)
+    # The second best way of rock to the mesh goes where the best may not.
+    for choice in [] if quick else _second(singles, given):
+        yield from _around(choice, [c for c in choices if c.axis in ("mesh", "step")], tried)
+
+
+def _second(singles, given):
+    """Return the second best way of rock to the mesh, alone in a list, where it gains."""
+    slope = mesh_slope([given, *(trial for _, trial in singles)])
+    ways = [(gain(t, given, slope), c) for c, t in singles if c.axis == "rock"]
+    ways = sorted((way for way in ways if way[0] > BETTER), key=lambda way: -way[0])
+    return [choice for _, choice in ways[1:2]]
 
 
 def growth(subject, meshes):
@@ -328,11 +340,11 @@ def growth(subject, meshes):
     return float(np.clip(np.log(more / less) / np.log(fine / coarse), *GROWTHS))
 
 
-def _around(start, given, choices, tried):
+def _around(start, choices, tried):
     """Yield trials that depart from a start by one choice each; return them with that choice.
 
     Args:
-        start, given: `Choice` and its `Trial`.
+        start: `Choice`.
         choices: list of `Choice`.
         tried: function of a choice that gives a trial, or None.
     """
@@ -350,7 +362,8 @@ def _together(start, given, found, tried):
     """Yield trials of what gains most by itself put together; return what gains most of all.
 
     Args:
-        start, given, tried: as of `_around`.
+        start, given: `Choice` and its `Trial`.
+        tried: as of `_around`.
         found: pairs of choices and trials of it.
 
     Returns:
