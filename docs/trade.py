@@ -83,7 +83,7 @@ def block(name):
 
 
 def presets():
-    """Return what the page says of the presets: what they set, and gave where they were measured."""
+    """Return what the page says of the presets: what they set, and what that gave."""
     rows = [("preset", *next(iter(PRESETS.values())))]
     rows += [(name, *map(str, preset.values())) for name, preset in PRESETS.items()]
     gave = [("case", *(f"{name}{way}" for way in ("", ", fitted") for name in PRESETS))]
