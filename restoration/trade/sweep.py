@@ -31,7 +31,7 @@ TOO_DEAR = 12.0  # times what was given cost, as far as the cells tell, that are
 CHEAP_S = 200.0  # but where that is less than this
 # Exponent of the cost of a march against cells along a side: as in 2-D with shorter steps, until
 # it is known; and bounds of the believable.
-GROWTH, GROWTHS = 2.8, (1.5, 3.2)
+GROWTH, GROWTHS = 2.8, (2.2, 3.2)
 # Kinds of settings that are changed once more, one at a time, of what goes best together.
 AGAIN = ("mesh", "element", "particles", "stepper", "step")
 ORDER = 2  # of the error against cells, as the reference is judged
