@@ -149,10 +149,11 @@ def _expected_lines(told):
         if errors
     ]
     kind = "a case of its kind" if told["like"] else "a case of another kind, for want of its own"
+    command = told["command"].removesuffix(" --json")
     return [
         *lines,
-        f"           as measured on {told['case']}, {kind}, and scaled by height (docs/trade.md): "
-        "a guess, which the certificate of the run replaces",
+        f"           as measured by `{command}`, {kind}, and scaled by height: a guess, which knows "
+        "nothing of how far a scene goes; the certificate of a run replaces it",
     ]
 
 
