@@ -152,7 +152,7 @@ def _expected_lines(told):
     command = told["command"].removesuffix(" --json")
     return [
         *lines,
-        f"           as measured by `{command}`, {kind}, and scaled by height: a guess, which knows "
+        f"           as measured by `{command}`, {kind}, and scaled by height: a guess that knows "
         "nothing of how far a scene goes; the certificate of a run replaces it",
     ]
 
