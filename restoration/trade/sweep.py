@@ -14,6 +14,7 @@ import numpy as np
 import restoration
 from restoration.errors import CaseError, SolveError
 from restoration.measured import kind_of
+from restoration.plan import time_label
 from restoration.trade.choices import (
     FINER,
     Choice,
@@ -227,7 +228,7 @@ class CaseSubject(Subject):
         else:
             raise SolveError("there is no reference to compare with: all of its settings failed")
         self._lines, self.case["end"] = answer["lines"], answer["end"]
-        self.truth = f"a run of its own: {choice.name}"
+        self.truth = f"a run of its own to {time_label(self.scene, answer['end'])}: {choice.name}"
         yield _trial(Choice("reference", f"reference: {choice.name}"), self.judged(answer))
         coarser = {"mesh.cells": list(self.scene.cells)}
         same = Choice("reference", "as the reference, on the cells given", choice.entries | coarser)
