@@ -7,10 +7,10 @@ from restoration.trade.report import compared, truth_text
 from restoration.trade.trials import done, front
 from restoration.units import number
 
-WIDTH, HEIGHT = 1960, 1150  # pixels
-LEFT, BOTTOM, RIGHT, TOP = 130, 110, 640, 120
+WIDTH, HEIGHT = 2040, 1150  # pixels
+LEFT, BOTTOM, RIGHT, TOP = 130, 110, 720, 120
 FRONT, OTHER = "#c00020", "#7d8a99"
-LINE, LONGEST = 27, 52  # height of a line of the key, pixels; characters of its labels
+LINE, LONGEST = 27, 60  # height of a line of the key, pixels; characters of its labels
 
 
 @style()
@@ -78,6 +78,7 @@ def _between(value):
 
 def _numbered(axes, cost, error, best):
     """Write the number of every point beside it, where no other point or number is."""
+    from matplotlib.patheffects import withStroke
     from matplotlib.transforms import Bbox
 
     figure = axes.figure
@@ -94,7 +95,10 @@ def _numbered(axes, cost, error, best):
         middle = (boxes[at].min + boxes[at].max) / 2 / figure.bbox.size
         weight = "bold" if best[i] else "normal"
         color = FRONT if best[i] else INK
-        figure.text(*middle, text, size=7, color=color, weight=weight, ha="center", va="center")
+        look = {"size": 7, "color": color, "weight": weight, "ha": "center", "va": "center"}
+        # A rim of white, where a line runs through.
+        rim = [withStroke(linewidth=2, foreground="white")]
+        figure.text(*middle, text, path_effects=rim, **look)
         if at >= 8:  # far from its point: a thin line leads there
             start = axes.transData.inverted().transform((boxes[at].min + boxes[at].max) / 2)
             axes.plot(

@@ -250,7 +250,7 @@ QUESTIONS = {
         {"mesh.cells": 8, "mesh.refine": 1},
         (
             *axis("mesh", "mesh.cells", (10, 20, 28, 56), "{} cells"),
-            *axis("refine", "mesh.refine", (0, 1, 2, 4), "halved {} times at the contact"),
+            *axis("refine", "mesh.refine", (0, 1, 2, 4), "halved {} times"),
             *elements(("P2b-P1dg", "P2-P1dg", "MINI")),
             FITTED,
             *(way for way in AVERAGES if way.name != "transfer linear"),
@@ -275,7 +275,7 @@ QUESTIONS = {
         {"mesh.cells": 8, "mesh.refine": 1},
         (
             *axis("mesh", "mesh.cells", (6, 9, 14, 38), "{} cells"),
-            *axis("refine", "mesh.refine", (0, 1, 2, 4, 5), "halved {} times at the block"),
+            *axis("refine", "mesh.refine", (0, 1, 2, 4, 5), "halved {} times"),
             *elements(("P2-P1", "P2-P1dg", "MINI")),
             PARTICLES,
             *(
