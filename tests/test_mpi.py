@@ -33,7 +33,7 @@ def on_ranks(script, ranks):
         str(script),
     ]
     done = subprocess.run(
-        command,
+        [*launch, sys.executable, str(script)],
         env=environment | SETTINGS,
         capture_output=True,
         text=True,
