@@ -21,17 +21,7 @@ def on_ranks(script, ranks):
     left = ("OMPI_", "ORTE_", "PMIX_")
     environment = {name: text for name, text in os.environ.items() if not name.startswith(left)}
     # Ranks wait by spinning: other tests, which watch the clock, go first.
-    command = [
-        "nice",
-        "-n",
-        "19",
-        "mpirun",
-        "--oversubscribe",
-        "-n",
-        str(ranks),
-        sys.executable,
-        str(script),
-    ]
+    launch = ["nice", "-n", "19", "mpirun", "--oversubscribe", "-n", str(ranks)]
     done = subprocess.run(
         [*launch, sys.executable, str(script)],
         env=environment | SETTINGS,
