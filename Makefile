@@ -8,6 +8,7 @@ help:
 	@echo "make test   set up, run all tests on all cores; choose with ARGS, such as ARGS='-m \"not slow\"'"
 	@echo "make setup  set up: Debian packages, .venv"
 	@echo "make profile  set up, say where a diapir, a graben and a 3-D run spend their time"
+	@echo "make trade  set up, measure the fronts of docs/trade.md anew: half an hour; choose with ARGS"
 	@echo "make lint   set up, check the style"
 	@echo "make clean  remove .venv, caches and built files; runs/ stays"
 
@@ -23,6 +24,9 @@ test: setup
 profile: setup
 	$(PYTHON) docs/performance.py profile
 
+trade: setup
+	$(PYTHON) docs/trade.py $(ARGS)
+
 lint: setup
 	$(PYTHON) -m ruff check .
 	$(PYTHON) -m ruff format --check .
@@ -31,4 +35,4 @@ clean:
 	rm -rf .venv build *.egg-info .pytest_cache .ruff_cache
 	find . -name __pycache__ -prune -exec rm -rf {} +
 
-.PHONY: help setup demo test profile lint clean
+.PHONY: help setup demo test profile trade lint clean

@@ -6,6 +6,7 @@ import numpy as np
 
 from restoration.advection import SCHEMES
 from restoration.layered import restorable
+from restoration.measured import expected
 from restoration.plan import active, solved_directly, time_label, unknowns
 from restoration.scene import Table
 from restoration.seeding import count_points
@@ -69,6 +70,7 @@ def describe(loaded, forecast=None):
         "time_forecast_s": forecast and round(forecast.seconds, 1),
         "forecast": forecast and vars(forecast),
         "restorability": restorable(scene),
+        "expected": (told := expected(scene)) and vars(told),
     }
 
 
@@ -124,6 +126,7 @@ def describe_text(loaded, forecast=None):
         f"(courant {scene.time.courant:g})",
         f"memory     about {about['memory_mb_about']} MB",
         *(_forecast_lines(forecast) if scene.dim == 2 else ()),
+        *_expected_lines(about["expected"]),
     ]
     if scene.free:
         lines.append(f"surface    {about['restorability']['verdict']}")
@@ -154,8 +157,34 @@ def _forecast_lines(forecast):
     return [
         f"forecast   {_duration(forecast.seconds)}{certificate}; about {forecast.steps} steps and "
         f"{forecast.solves} Stokes solves, {forecast.memory_mb:.0f} MB",
-        f"accuracy   with the cells and steps of a preset: {presets}",
+        f"presets    cost, with their cells and steps: {presets}",
     ]
+
+
+def _expected_lines(told):
+    """Return what the presets may give, for people."""
+    if told is None:
+        return []
+    lines = [
+        f"presets    {what}: {_errors_text(errors)}"
+        for what, errors in (
+            ("give horizons off by, in the mean", told["carried"]),
+            ("the same with mesh.interfaces: fitted", told["fitted"]),
+        )
+        if errors
+    ]
+    kind = "a case of its kind" if told["like"] else "a case of another kind, for want of its own"
+    command = told["command"].removesuffix(" --json")
+    return [
+        *lines,
+        f"           as measured by `{command}`, {kind}, and scaled by height: a guess that knows "
+        "nothing of how far a scene goes; the certificate of a run replaces it",
+    ]
+
+
+def _errors_text(errors):
+    """Return errors by preset in words, two figures."""
+    return ", ".join(f"{name} {show(float(f'{e:.2g}'), 'length')}" for name, e in errors.items())
 
 
 def _duration(seconds):

@@ -1,4 +1,4 @@
-"""The command line: ``restore run|check CASE`` and ``restore bench``."""
+"""The command line: ``restore run|check|trade CASE`` and ``restore bench``."""
 
 import argparse
 import json
@@ -72,8 +72,12 @@ def _parser():
     run.set_defaults(command=_run)
     check = commands.add_parser("check", help="tell what a case would solve, or list a section")
     check.set_defaults(command=_check)
+    trade = commands.add_parser("trade", help="measure what accuracy costs, by settings")
+    trade.set_defaults(command=_trade)
+    trade.add_argument("case", metavar="CASE-or-BENCH", help="case file, or name of a benchmark")
     for command in (run, check):
         command.add_argument("case", metavar="CASE", help="case file, YAML")
+    for command in (run, check, trade):
         command.add_argument(
             "--set",
             action="append",
@@ -93,6 +97,9 @@ def _parser():
     bench.add_argument("--json", action="store_true", help="print JSON and nothing else")
     bench.add_argument("--list", action="store_true", help="list the benchmarks")
     bench.add_argument("--out", metavar="DIR", help="write rows and a figure of each there")
+    trade.add_argument("--quick", action="store_true", help="few settings")
+    trade.add_argument("--json", action="store_true", help="print JSON")
+    trade.add_argument("--out", metavar="DIR", help="write JSON and the Pareto plot there")
     check.add_argument("--json", action="store_true", help="print JSON")
     check.add_argument(
         "--forecast",
@@ -219,6 +226,20 @@ def _bench(options):
     else:
         print(suite.verdict(rows))
     return 0 if all(row.held is not False for row in rows) else MISSED
+
+
+def _trade(options):
+    from restoration.trade.command import trade
+
+    _let_pipes_break()
+    return trade(
+        options.case,
+        tuple(options.set),
+        options.allow_outside,
+        options.quick,
+        options.out,
+        options.json,
+    )
 
 
 def summary(record, folder):

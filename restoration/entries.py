@@ -21,11 +21,11 @@ from restoration.kinds import Entry, Length, Name, Size, quantity, read_names, w
 from restoration.units import UNITS, Quantity, parse, show
 from restoration.words import hint, listed, quoted
 
-# Defaults by accuracy; the measurements behind them are in docs/accuracy.md.
+# Defaults by accuracy; the measurements behind them are in docs/trade.md.
 PRESETS = {
-    "draft": {"cells": 20, "per_cell": 4, "courant": 1.0, "min_steps": 10},
-    "balanced": {"cells": 45, "per_cell": 4, "courant": 0.5, "min_steps": 20},
-    "fine": {"cells": 90, "per_cell": 4, "courant": 0.5, "min_steps": 40},
+    "draft": {"cells": 20, "per_cell": 4, "courant": 2.0, "min_steps": 5},
+    "balanced": {"cells": 45, "per_cell": 4, "courant": 1.0, "min_steps": 10},
+    "fine": {"cells": 90, "per_cell": 12, "courant": 1.0, "min_steps": 20},
 }
 BOX_CELLS = {"draft": 5, "balanced": 8, "fine": 12}  # of the shortest side of a box with a length
 LONGEST = 1e4 * UNITS["time"]["Myr"]  # s, of a march

@@ -104,8 +104,10 @@ ORDER = {
         "box_recorder",
         "run",
         "forecast",
+        "measured",
         "check",
         "bench",
+        "trade",
         "cli",
     ],
     "restoration/bench": [
@@ -130,6 +132,16 @@ ORDER = {
         "peers",
         "pictures",
         "suite",
+    ],
+    "restoration/trade": [
+        "trials",
+        "choices",
+        "questions",
+        "worker",
+        "sweep",
+        "report",
+        "picture",
+        "command",
     ],
 }
 # What a package may import besides itself and the standard library; None for anything.

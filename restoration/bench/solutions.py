@@ -59,7 +59,7 @@ def run_solcx(quick):
     for (name, kind), mean in product(pairs, ("harmonic",) if quick else MEANS):
         for contrast in (1e6,) if quick or name not in ("P2-P1", "Q2-Q1") else (1e3, 1e6):
             solved = [
-                (n, _solcx_by_particles(name, n, contrast, Transfer("cell", kind, mean)))
+                (n, solcx_by_particles(name, n, contrast, Transfer("cell", kind, mean)))
                 for n in (33, 65)
             ]
             best = (name, kind, mean, contrast) == ("Q2-Q1", "linear", "harmonic", 1e6)
@@ -76,7 +76,16 @@ def run_solcx(quick):
             )
 
 
-def _solcx_by_particles(name, n, contrast, transfer):
+def solcx_by_particles(name, n, contrast, transfer):
+    """Return SolCx `Solved` with its step as particles carry it.
+
+    Args:
+        name: of the pair of elements.
+        n: squares along a side; an odd number has the step in the middle of squares.
+        contrast: of the step.
+        transfer: `scene.Transfer`.
+    """
+
     def unit(x):
         return (x[:, 0] > 0.5).astype(np.int64)
 

@@ -88,4 +88,4 @@ def test_the_forecast_is_told_by_the_command(capsys):
     assert main(["check", str(DEMO), "--forecast", *sets]) == 0
     text = capsys.readouterr().out
     assert "forecast   " in text
-    assert "accuracy   " in text
+    assert "presets    cost" in text

@@ -129,8 +129,8 @@ def test_defaults_and_their_values_written_out_resolve_alike(case):
     given = [
         "particles.per_cell=4",
         "mesh.cells=[90, 45]",
-        "time.min_steps=20",
-        "time.courant=0.5",
+        "time.min_steps=10",
+        "time.courant=1.0",
         "section.layers.0.name=salt",
         "boundary.base=no-slip",
         "title=folder",

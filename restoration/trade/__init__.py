@@ -1,0 +1,1 @@
+"""What accuracy costs: settings of a case or a benchmark, measured against each other."""
