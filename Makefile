@@ -7,7 +7,7 @@ help:
 	@echo "make demo   set up, run the demo case, say where the pictures are"
 	@echo "make test   set up, run all tests on all cores; choose with ARGS, such as ARGS='-m \"not slow\"'"
 	@echo "make setup  set up: Debian packages, .venv"
-	@echo "make profile  set up, say where a diapir and a graben spend their time"
+	@echo "make profile  set up, say where a diapir, a graben and a 3-D run spend their time"
 	@echo "make trade  set up, measure the fronts of docs/trade.md anew: half an hour; choose with ARGS"
 	@echo "make lint   set up, check the style"
 	@echo "make clean  remove .venv, caches and built files; runs/ stays"

@@ -15,12 +15,15 @@ from pathlib import Path
 import numpy as np
 import shapely
 
-from restoration import assembly, solvers
+from restoration import assembly, grid, solvers
+from restoration.box_engine import BoxEngine
 from restoration.engine import StokesEngine
 from restoration.environment import use_jit_cache, use_numba_cache
+from restoration.errors import SolveError
 from restoration.particles import subset
 from restoration.resolve import load
 from restoration.run import next_time
+from restoration.units import YEAR
 
 ROOT = Path(__file__).parents[1]
 CASES = ROOT / "cases"
@@ -38,7 +41,15 @@ PROFILED = {
         "mesh.interfaces=fitted",
     ),
     "diapir, one viscosity": (ONE, *SHORT),
+    "diapir in three dimensions": (CASES / "diapir-3d" / "case.yaml", "time.marks=[0 Myr, 1 Myr]"),
     "graben": (CASES / "graben" / "case.yaml", "time.marks=[0 kyr, 17.5 kyr]", "certificate=off"),
+    "three dimensions, salt ten times weaker, field split": (
+        CASES / "diapir-3d" / "case.yaml",
+        "rocks.salt.viscosity=1e18 Pa s",
+        "solver={}",
+        "mesh.cells=[12, 12, 6]",
+        "time={marks: [0 Myr, 0.5 Myr], min_steps: 4}",
+    ),
 }
 SOLVING = "solve"
 
@@ -60,10 +71,11 @@ class Walk:
     Args:
         case: path.
         overrides: texts ``a.b=value``.
+        engine: makes the engine of a scene.
     """
 
-    def __init__(self, case, *overrides):
-        self.engine = StokesEngine(load(case, overrides).scene)
+    def __init__(self, case, *overrides, engine=StokesEngine):
+        self.engine = engine(load(case, overrides).scene)
         self.state = self.engine.with_flow(self.engine.start())
         self.mark = self.engine.scene.time.marks[1]
 
@@ -222,78 +234,11 @@ def peak_mb():
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
 
 
-def exponent(sizes, costs):
-    """Return the exponent of the power of the size that a cost goes with."""
-    return np.polyfit(np.log(sizes), np.log(costs), 1)[0]
-
-
 def apart(work, *arguments):
-    """Return what a function of this script prints as JSON in a process of its own."""
-    command = [sys.executable, __file__, "--apart", work, *map(str, arguments)]
+    """Return what a function of the script that runs prints as JSON in a process of its own."""
+    command = [sys.executable, sys.argv[0], "--apart", work, *map(str, arguments)]
     done = subprocess.run(command, check=True, capture_output=True, text=True, cwd=ROOT)
     return json.loads(done.stdout.splitlines()[-1])
-
-
-def size_of(cells, per_cell, steps):
-    """Print what a step costs, as JSON."""
-    base = peak_mb()
-    walk = Walk(WEAK, f"mesh.cells={cells}", f"particles.per_cell={per_cell}", "time.courant=0.5")
-    wall, cpu, parts = walk.timed(int(steps))
-    print(
-        json.dumps(
-            {
-                "unknowns": walk.engine.grid.spaces.unknowns,
-                "particles": len(walk.state.particles.x),
-                "wall": wall,
-                "cpu": cpu,
-                "peak_mb": peak_mb(),
-                "base_mb": base,
-                "parts": parts,
-            }
-        )
-    )
-
-
-def unknowns():
-    """A step of rk4 against unknowns: two viscosities, four particles a cell, 2-D."""
-    head("unknowns", "particles", "wall, s", "CPU, s", "solve, s", "peak, MB", "kB per unknown")
-    sizes, costs = [], []
-    for cells in (32, 72, 125, 225):
-        got = apart("size_of", cells, 4, 2)
-        sizes.append(got["unknowns"])
-        costs.append(got["cpu"])
-        row(
-            got["unknowns"],
-            got["particles"],
-            f"{got['wall']:.2f}",
-            f"{got['cpu']:.2f}",
-            f"{got['parts'][SOLVING]:.2f}",
-            f"{got['peak_mb']:.0f}",
-            f"{1024 * (got['peak_mb'] - got['base_mb']) / got['unknowns']:.1f}",
-        )
-    print(f"\nexponent of the CPU seconds: {exponent(sizes, costs):.2f}")
-
-
-def cloud():
-    """A step of rk4 against particles: two viscosities, 40 000 unknowns."""
-    head("particles", "wall, s", "CPU, s", "all but Stokes, wall s", "peak, MB", "B per particle")
-    sizes, costs, least = [], [], None
-    for per_cell in (8, 80, 800):
-        got = apart("size_of", 45, per_cell, 2)
-        least = least or got
-        others = sum(got["parts"][part] for part in ("fields", "advect"))
-        sizes.append(got["particles"])
-        costs.append(others)
-        more = got["particles"] - least["particles"]
-        row(
-            got["particles"],
-            f"{got['wall']:.2f}",
-            f"{got['cpu']:.2f}",
-            f"{others:.2f}",
-            f"{got['peak_mb']:.0f}",
-            f"{2**20 * (got['peak_mb'] - least['peak_mb']) / more:.0f}" if more else "",
-        )
-    print(f"\nexponent of the particle work: {exponent(sizes[1:], costs[1:]):.2f}")
 
 
 def steady():
@@ -329,6 +274,23 @@ SCOPE = (
     ("", WEAK, ("mesh.cells=46",), "fine everywhere"),
     ("", WEAK, ("mesh.cells=23",), "coarse everywhere"),
 )
+# A section of two dimensions, and the same as a box that is one cube wide.
+PLANE = """
+section:
+  box: {{width: 10 km, {length}height: 5 km}}
+  layers:
+    - {{rock: salt, top: {{depth: 4 km, cosine: {{amplitude: 0.3 km, wavelength: 20 km}}}}}}
+    - {{rock: sediment}}
+rocks:
+  salt: {{density: 2150 kg/m^3, viscosity: 1e18 Pa s}}
+  sediment: {{density: 2600 kg/m^3, viscosity: 1e19 Pa s}}
+boundary: {{base: no-slip}}
+mesh: {{cells: {cells}}}
+particles: {{velocity: plain}}
+time: {{marks: [0 Myr, 0.5 Myr], min_steps: 5}}
+certificate: off
+"""
+PLANES = (("", "[24, 12]", "two dimensions"), ("length: 0.4167 km, ", "[24, 1, 12]", "three"))
 
 
 def ended(case, *overrides):
@@ -353,6 +315,86 @@ def ended(case, *overrides):
             }
         )
     )
+
+
+def plane(length, cells):
+    """Print what the section costs in two dimensions, or as a box one cube wide, as JSON."""
+    with tempfile.TemporaryDirectory() as folder:
+        case = Path(folder) / "case.yaml"
+        case.write_text(PLANE.format(length=length, cells=cells))
+        walk = Walk(case, engine=BoxEngine if length else StokesEngine)
+    wall, cpu, _ = walk.timed(4)
+    spaces, state = walk.engine.grid.spaces, walk.state
+    print(
+        json.dumps(
+            {
+                "unknowns": spaces.unknowns,
+                "particles": len(state.particles.x),
+                "wall": wall,
+                "cpu": cpu,
+                "fastest": state.grid.speeds(state.flow)[1],
+                "peak_mb": peak_mb(),
+            }
+        )
+    )
+
+
+def planes():
+    """A section in two dimensions, and as a box one cube wide: a step of rk4."""
+    head("mesh", "unknowns", "particles", "CPU s a step", "peak, MB", "greatest velocity, mm/yr")
+    for length, cells, name in PLANES:
+        got = apart("plane", length, cells)
+        row(
+            name,
+            got["unknowns"],
+            got["particles"],
+            f"{got['cpu']:.2f}",
+            f"{got['peak_mb']:.0f}",
+            f"{got['fastest'] * 1e3 * YEAR:.3f}",
+        )
+
+
+def closed():
+    """A closed box: the pressure, known up to a constant, held at a point or not; a solve."""
+    head("the pressure is", "relative residual", "pressure, greatest, MPa", "what became of it")
+    make = grid.StokesProblem
+
+    def unheld(*arguments, **options):
+        """Take the section for one that is open somewhere."""
+        return make(*arguments[:7], False, *arguments[8:], **options)
+
+    for held in (True, False):
+        grid.StokesProblem = make if held else unheld
+        try:
+            flow = Walk(ONE, "mesh.cells=32").state.flow
+            row(
+                "held" if held else "left alone",
+                f"{flow.residual:.0e}",
+                f"{np.abs(flow.p).max() / 1e6:.3g}",
+                "solved",
+            )
+        except SolveError as error:
+            row("held" if held else "left alone", "", "", str(error).partition(";")[0])
+        finally:
+            grid.StokesProblem = make
+
+
+def forecasts():
+    """What `restore check --forecast` tells of the shipped cases, and what they then take."""
+    head("case", "told, s", "took, s", "ratio", "told, MB", "took, MB", "ratio")
+    for case in sorted([*CASES.glob("*/case.yaml"), *CASES.glob("*/exp?.yaml")]):
+        command = [sys.executable, "-m", "restoration.cli", "check", str(case), "--forecast"]
+        done = subprocess.run(
+            [*command, "--json"], check=True, capture_output=True, text=True, cwd=ROOT
+        )
+        told = json.loads(done.stdout)["forecast"]
+        record = run(case)
+        pairs = (
+            (told["run_s"] + told["certificate_s"], record["wall_s"]),
+            (told["memory_mb"], record["peak_rss_mb"]),
+        )
+        name = case.parent.name if case.stem == "case" else f"{case.parent.name}/{case.stem}"
+        row(name, *(text for a, b in pairs for text in (f"{a:.0f}", f"{b:.0f}", f"{a / b:.2f}")))
 
 
 def scope():
@@ -382,27 +424,35 @@ def scope():
         )
 
 
-TABLES = {f.__name__: f for f in (profile, particles, solves, steady, scope, unknowns, cloud)}
+TABLES = {
+    f.__name__: f for f in (profile, particles, solves, steady, scope, planes, closed, forecasts)
+}
 
 
-def main():
-    """Print the tables that are asked for."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("names", nargs="*", metavar="NAME", help=f"of {', '.join(TABLES)}")
+def main(description, tables, apart_works):
+    """Print the tables that are asked for.
+
+    Args:
+        description: of the script.
+        tables: functions by name, which print a table each.
+        apart_works: functions that run in a process of their own, by name.
+    """
+    parser = argparse.ArgumentParser(description=description.splitlines()[0])
+    parser.add_argument("names", nargs="*", metavar="NAME", help=f"of {', '.join(tables)}")
     parser.add_argument("--apart", nargs="+", help=argparse.SUPPRESS)
     use_numba_cache()
     use_jit_cache()
     given = parser.parse_args()
     if given.apart:
         work, *arguments = given.apart
-        globals()[work](*arguments)
+        apart_works[work](*arguments)
         return
-    if wrong := [name for name in given.names if name not in TABLES]:
-        parser.error(f"no measurement {wrong[0]!r}; there are {', '.join(TABLES)}")
-    for name in given.names or TABLES:
-        print(f"\n## {name}: {TABLES[name].__doc__}\n")
-        TABLES[name]()
+    if wrong := [name for name in given.names if name not in tables]:
+        parser.error(f"no measurement {wrong[0]!r}; there are {', '.join(tables)}")
+    for name in given.names or tables:
+        print(f"\n## {name}: {tables[name].__doc__}\n")
+        tables[name]()
 
 
 if __name__ == "__main__":
-    main()
+    main(__doc__, TABLES, {"ended": ended, "plane": plane})

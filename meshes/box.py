@@ -40,7 +40,7 @@ def section_mesh(surface, base, cells, cell="triangle", air=None, comm=MPI.COMM_
         ghost_mode=GHOSTS,
         diagonal=dmesh.DiagonalType.crossed,
     )
-    facet_tags = _tag_walls(mesh, np.array([left, 0.0]), np.array([right, 1.0]))
+    facet_tags = tag_walls(mesh, np.array([left, 0.0]), np.array([right, 1.0]))
     x = mesh.geometry.x
     top = np.interp(x[:, 0], surface[:, 0], surface[:, 1])
     bottom = np.interp(x[:, 0], base[:, 0], base[:, 1])
@@ -75,10 +75,10 @@ def box_mesh(low, high, cells, cell="tetrahedron", comm=MPI.COMM_WORLD):
         getattr(dmesh.CellType, cell),
         ghost_mode=GHOSTS,
     )
-    return SectionMesh(mesh, _tag_walls(mesh, low, high), dict(WALL_TAGS), frozenset(WALL_TAGS))
+    return SectionMesh(mesh, tag_walls(mesh, low, high), dict(WALL_TAGS), frozenset(WALL_TAGS))
 
 
-def _tag_walls(mesh, low, high):
+def tag_walls(mesh, low, high):
     """Return the tags of the walls of a box."""
     dim = mesh.topology.dim
     mesh.topology.create_connectivity(dim - 1, dim)

@@ -94,11 +94,16 @@ def nearest_particle(panel, extent, size):
 
 def paint_rocks(axes, panel, extent, size):
     """Fill the section with the colours of its units, each pixel as its nearest particle."""
-    from matplotlib.colors import to_rgba_array
-
-    colors = np.array([*to_rgba_array([unit.color for unit in panel.scene.units]), [1, 1, 1, 0]])
     nearest = nearest_particle(panel, extent, size)
     unit = np.where(nearest < 0, -1, panel.unit[nearest])
+    paint_units(axes, panel.scene, unit, extent)
+
+
+def paint_units(axes, scene, unit, extent):
+    """Paint an image of units, rows of `Scene.units` by pixel, -1 where there is none."""
+    from matplotlib.colors import to_rgba_array
+
+    colors = np.array([*to_rgba_array([unit.color for unit in scene.units]), [1, 1, 1, 0]])
     image = np.round(255 * colors).astype(np.uint8)[unit]
     axes.imshow(image, extent=extent, aspect="auto", interpolation="nearest", zorder=0)
 

@@ -4,6 +4,7 @@ from pathlib import Path
 
 from pydantic import BaseModel, ValidationError
 
+from restoration.box_rules import box_faults
 from restoration.entries import ELEMENTS, OPTIONS, QUADRATIC, Boundary, Case, RockEntry
 from restoration.errors import CaseError
 from restoration.fault_entries import wrong_faults
@@ -12,11 +13,6 @@ from restoration.tree import override, read_tree, shortened
 from restoration.units import advice
 from restoration.words import hint, listed, nearest, quoted
 
-# Entries of docs/design.md that are promised and not built: refused by name.
-LATER = {
-    ("boundary", "front"): "sections are two-dimensional so far; remove this wall",
-    ("boundary", "back"): "sections are two-dimensional so far; remove this wall",
-}
 FITTED = ("fitted", "auto")  # of mesh.interfaces: with mesh lines that follow the rock
 SYNONYMS = {"top": "surface", "bottom": "base", "walls": "boundary", "colour": "color"}
 # Entries of a section that only a file has a use for.
@@ -79,8 +75,6 @@ def _fault(tree, found):
     path = tuple(part for part in found["loc"] if part != "[key]")
     kind, context = found["type"], found.get("ctx", {})
     if kind == "extra_forbidden":
-        if message := LATER.get(path):
-            return tree.fault(path, message, at="key")
         known = _names_at(path[:-1])
         meant = _meant(path[-1], known)
         near = f"; did you mean '{meant}'? (possible: {listed(known)})" if meant else ""
@@ -186,7 +180,7 @@ def _cross_faults(tree):
         if tree.raw(("boundary", name)) == "free" and name != "surface":
             message = "only the surface can be free; {traction: [0 MPa, 0 MPa]} leaves a wall alone"
             faults.append(tree.fault(("boundary", name), message))
-    faults += wrong_faults(tree) + _surface_faults(tree) + _mesh_faults(tree)
+    faults += wrong_faults(tree) + _surface_faults(tree) + _mesh_faults(tree) + box_faults(tree)
     return faults + _line_faults(tree)
 
 

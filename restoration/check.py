@@ -7,8 +7,8 @@ import numpy as np
 from restoration.advection import SCHEMES
 from restoration.layered import restorable
 from restoration.measured import expected
-from restoration.plan import active, time_label, unknowns
-from restoration.scene import WALLS, Table
+from restoration.plan import active, solved_directly, time_label, unknowns
+from restoration.scene import Table
 from restoration.seeding import count_points
 from restoration.stopping import asked
 from restoration.units import show
@@ -16,6 +16,10 @@ from restoration.units import show
 # Memory of a run: a base, MB, and bytes for each unknown and each particle; fitted to the table of
 # `docs/measure.py memory`.
 BASE_MB, PER_UNKNOWN, PER_PARTICLE = 400, 2400, 300
+# In three dimensions: a base, and bytes for each unknown by solver; the entries of factors grow as
+# the power 4/3 of the unknowns. Fitted to the table of `docs/boxes.py memory`.
+BOX_BASE_MB, PER_UNKNOWN_FIELDSPLIT = 550, 3300
+PER_FACTOR = {"P2-P1": 280, "P2b-P1dg": 120}  # bubbles fill little
 
 
 def describe(loaded, forecast=None):
@@ -33,6 +37,7 @@ def describe(loaded, forecast=None):
     return {
         "title": scene.title,
         "width_m": scene.outline.width,
+        "length_m": scene.length,
         "height_m": scene.outline.height,
         "area_m2": scene.outline.area,
         "rocks": [
@@ -47,7 +52,7 @@ def describe(loaded, forecast=None):
                 "velocity_m_per_s": _wall_numbers(scene.walls[name].velocity),
                 "traction_pa": _wall_numbers(scene.walls[name].traction),
             }
-            for name in WALLS
+            for name in scene.walls
         },
         "marks_s": list(scene.time.marks),
         "stop": scene.time.stop and dict(vars(scene.time.stop)),
@@ -56,7 +61,7 @@ def describe(loaded, forecast=None):
         "mesh_varies": scene.mesh.refine is not None or scene.mesh.interfaces != "particles",
         "unknowns": count,
         "particles": particles,
-        "memory_mb_about": round(BASE_MB + (count * PER_UNKNOWN + particles * PER_PARTICLE) / 1e6),
+        "memory_mb_about": _memory(scene, count, particles),
         "steps_at_least": steps,
         "stokes_solves_at_least": steps * SCHEMES[scene.time.scheme].solves + 1,
         "viscosity_contrast": float(scene.unit_viscosity.max() / scene.unit_viscosity.min()),
@@ -69,13 +74,20 @@ def describe(loaded, forecast=None):
     }
 
 
+def _memory(scene, unknowns, particles):
+    """Return the memory of a run, about, MB."""
+    base, size = BASE_MB, unknowns * PER_UNKNOWN
+    if scene.dim == 3:
+        base, direct = BOX_BASE_MB, solved_directly(scene)
+        size = PER_UNKNOWN_FIELDSPLIT * unknowns
+        size = PER_FACTOR[scene.mesh.element] * unknowns ** (4 / 3) if direct else size
+    return round(base + (size + particles * PER_PARTICLE) / 1e6)
+
+
 def describe_text(loaded, forecast=None):
     """Return what a case would solve, for people; arguments as `describe`."""
     scene, about = loaded.scene, describe(loaded, forecast)
-    size = (
-        f"{show(scene.outline.width, 'length')} wide, {show(scene.outline.height, 'length')} high"
-    )
-    lines = [scene.title, f"section    {size}, {about['area_m2'] / 1e6:.4g} km^2"]
+    lines = [scene.title, _size_text(scene)]
     for rock in scene.rocks:
         of = [unit.name for unit in scene.units if scene.rocks[unit.rock] is rock]
         lines.append(
@@ -83,12 +95,14 @@ def describe_text(loaded, forecast=None):
             f"{show(rock.viscosity, 'viscosity')}"
             + ("" if of == [rock.name] else f"; units {', '.join(of)}")
         )
-    for line in about["lines"]:
+    for sheet in scene.sheets:
+        lines.append(f"{sheet.kind:<10} {sheet.name}, a sheet of {len(sheet.points)} points")
+    for line in about["lines"] if scene.dim == 2 else ():
         pieces = f" in {line['pieces']} pieces" if line["pieces"] > 1 else ""
         length = show(line["length_m"], "length")
         wide = f", {show(line['width_m'], 'length')} wide" if line["width_m"] else ""
         lines.append(f"{line['kind']:<10} {line['name']}, {length} long{pieces}{wide}")
-    for name in WALLS:
+    for name in scene.walls:
         lines.append(f"{name:<10} {_wall_text(scene.walls[name])}")
     lines.append(f"gravity    {scene.gravity:g} m/s^2, downwards")
     for a, b in pairwise(scene.time.marks):
@@ -97,20 +111,21 @@ def describe_text(loaded, forecast=None):
         lines.append(f"march      {ends}, {way}")
     if scene.time.stop:
         lines.append(f"stop       {asked(scene.time.stop)}")
-    across, up = scene.cells
     shape = "squares" if scene.mesh.element.startswith("Q") else "triangles"
+    base = "squares" if scene.dim == 2 else "cubes"
+    shape = shape if scene.dim == 2 else "tetrahedra"
     refined = scene.mesh.refine is not None
     about_text = " and more where it is finer" if refined else ""
     rough = "about " if scene.mesh.interfaces != "particles" else ""
     lines += [
-        f"mesh       {across} x {up} squares, {rough}{about['cells']} {shape}, "
+        f"mesh       {' x '.join(map(str, scene.cells))} {base}, {rough}{about['cells']} {shape}, "
         f"{rough}{about['unknowns']} unknowns{about_text}",
         f"particles  {about['particles']}",
         f"work       at least {about['steps_at_least']} steps and "
         f"{about['stokes_solves_at_least']} Stokes solves; more where the flow is fast "
         f"(courant {scene.time.courant:g})",
         f"memory     about {about['memory_mb_about']} MB",
-        *_forecast_lines(forecast),
+        *(_forecast_lines(forecast) if scene.dim == 2 else ()),
         *_expected_lines(about["expected"]),
     ]
     if scene.free:
@@ -119,6 +134,16 @@ def describe_text(loaded, forecast=None):
     lines += [f"note       {note}" for note in scene.notes]
     lines += ["", "# the case with every default", loaded.resolved.rstrip()]
     return "\n".join(lines)
+
+
+def _size_text(scene):
+    """Return how large the section or the box is, in words."""
+    width, height = (show(side, "length") for side in (scene.outline.width, scene.outline.height))
+    if scene.dim == 2:
+        return f"section    {width} wide, {height} high, {scene.outline.area / 1e6:.4g} km^2"
+    volume = scene.outline.area * scene.length / 1e9
+    long = show(scene.length, "length")
+    return f"box        {width} wide, {long} long, {height} high, {volume:.4g} km^3"
 
 
 def _forecast_lines(forecast):
@@ -183,7 +208,11 @@ def _lines(scene):
         )
         row["length_m"] += float(np.linalg.norm(np.diff(line.points, axis=0), axis=1).sum())
         row["pieces"] += 1
-    return list(rows.values())
+    sheets = [
+        {"name": sheet.name, "kind": sheet.kind, "points": len(sheet.points)}
+        for sheet in scene.sheets
+    ]
+    return [*rows.values(), *sheets]
 
 
 def _wall_text(wall):

@@ -5,42 +5,63 @@ import json
 import os
 import signal
 import sys
+import traceback
 from pathlib import Path
 
 from restoration import __version__
 from restoration.environment import check_environment, use_jit_cache, use_numba_cache
 from restoration.errors import CaseError, RestorationError
+from restoration.launch import end_together, rank_and_size, run_on_ranks
 
+BUG = 1  # exit code of what should not happen
 MISSED = 1  # exit code where a benchmark misses a bound
 DESCRIPTION = "Restore geological sections by reverse-time Stokes flow."
 
 
 def main(arguments=None):
-    """Run a command and return its exit code (see docs/design.md)."""
+    """Run a command and return its exit code (see docs/design.md).
+
+    Of several ranks the first speaks for all.
+    """
     options = _parser().parse_args(arguments)
+    rank, size = rank_and_size()
+    if rank > 0:
+        sys.stdout = open(os.devnull, "w")
     try:
-        for warning in check_environment():
+        for warning in check_environment() if rank == 0 else ():
             print(f"warning: {warning}", file=sys.stderr)
         use_numba_cache()
         code = options.command(options)
         sys.stdout.flush()
         return code
-    except RestorationError as error:
-        print(error, file=sys.stderr)
-        return error.exit_code
-    except KeyboardInterrupt:
-        print("stopped at once", file=sys.stderr)
-        return 130
-    except MemoryError:
-        print("out of memory; lower mesh.cells or particles.per_cell", file=sys.stderr)
-        return 6
-    except BrokenPipeError:  # the reader of our output has gone: `restore check ... | head`
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return 1
-    except OSError as error:
-        print(f"{error.filename or 'output'}: {error.strerror}", file=sys.stderr)
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # what is not flushed yet
-        return 5
+    except (RestorationError, KeyboardInterrupt, MemoryError, OSError) as error:
+        code, text = _told(error)
+    except Exception as error:
+        if size == 1:
+            raise
+        traceback.print_exc()
+        code, text = BUG, f"{type(error).__name__}: {error}"
+    if text and rank == 0:
+        print(text, file=sys.stderr)
+    if size > 1:
+        end_together(code, text)
+    return code
+
+
+def _told(error):
+    """Return the exit code of an error, and what to tell of it."""
+    match error:
+        case RestorationError():
+            return error.exit_code, str(error)
+        case KeyboardInterrupt():
+            return 130, "stopped at once"
+        case MemoryError():
+            return 6, "out of memory; lower mesh.cells or particles.per_cell"
+        case BrokenPipeError():  # the reader of our output has gone: `restore check ... | head`
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+            return 1, ""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # what is not flushed yet
+    return 5, f"{error.filename or 'output'}: {error.strerror}"
 
 
 def _parser():
@@ -93,6 +114,9 @@ def _parser():
         help="go forward again from what was restored, on another mesh, and compare",
     )
     run.add_argument("--quiet", action="store_true", help="no progress")
+    run.add_argument(
+        "--ranks", type=int, metavar="N", help="share the work among N processes of this machine"
+    )
     return parser
 
 
@@ -112,8 +136,10 @@ def _check(options):
 
     loaded, told = _load(options), None
     if options.forecast:
+        _refuse_length(options, loaded, "--forecast")
         from restoration.forecast import forecast
 
+        use_jit_cache()
         told = forecast(loaded.scene)
         _let_pipes_break()
     if options.json:
@@ -121,6 +147,15 @@ def _check(options):
     else:
         print(describe_text(loaded, told))
     return 0
+
+
+def _refuse_length(options, loaded, what):
+    """Refuse an option that has no use for three dimensions yet."""
+    if loaded.scene.dim == 3:
+        raise CaseError(
+            f"{options.case}: {what} is not possible in three dimensions (section.box.length) yet; "
+            "leave it out"
+        )
 
 
 def _let_pipes_break():
@@ -134,12 +169,16 @@ def _run(options):
             f"{options.case}: is a section, not a case; `restore check {options.case}` prints a "
             "case to start from"
         )
+    if options.ranks is not None and options.ranks != 1:
+        return run_on_ranks(options.ranks, _without_ranks(options))
     from restoration.progress import Progress
     from restoration.run import Job, StopRequest, run_job
 
     with StopRequest() as stop:  # already here: a Ctrl-C while a library loads would break it
         loaded = _load(options)
-        for note in loaded.scene.notes:
+        if options.prove:
+            _refuse_length(options, loaded, "--prove")
+        for note in loaded.scene.notes if rank_and_size()[0] == 0 else ():
             print(f"note: {note}", file=sys.stderr)
         use_jit_cache()
         path = Path(options.case).absolute()
@@ -158,6 +197,14 @@ def _run(options):
     else:
         print(summary(record, folder))
     return 0
+
+
+def _without_ranks(options):
+    """Return the arguments of a run but for ``--ranks``."""
+    arguments = ["run", options.case, *(part for one in options.set for part in ("--set", one))]
+    arguments += ["--out", options.out] if options.out is not None else []
+    flags = ("fresh", "prove", "quiet", "allow_outside")
+    return arguments + [f"--{n.replace('_', '-')}" for n in flags if getattr(options, n)]
 
 
 def _bench(options):

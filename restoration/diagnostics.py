@@ -109,6 +109,8 @@ def _to_set(pieces, others):
 def volume_by_rock(scene, grid, particles):
     """Return the area each rock fills on the mesh, m^2 (volume per metre of strike), by name.
 
+    In three dimensions the volume, m^3.
+
     The rock is read as the flow sees it, as its density goes to the mesh, so that clusters of
     particles and empty patches show; in a fitted mesh by the cells.
 
@@ -135,13 +137,22 @@ def relative_change(first, last):
     return {name: (last[name] - v) / v for name, v in first.items() if v}
 
 
-def compared(states, volume):
+def drawn_distances(before, after):
+    """Return `line_distances` of moving lines, as drawn.
+
+    Vertices that were added on the way are interpolated, and tell nothing of the rock.
+    """
+    return line_distances(as_drawn(before), as_drawn(after))
+
+
+def compared(states, volume, distances=drawn_distances):
     """Return what a run has kept and lost between its marks, as entries of its record.
 
     Args:
         states: `State` at every mark; where the last is at the time of the first, there and back is
             compared too.
         volume: `volume_by_rock` of every one of them.
+        distances: between the lines, or sheets, of two states.
     """
     changes = [relative_change(volume[0], later) for later in volume[1:]]
     found = {
@@ -161,6 +172,5 @@ def compared(states, volume):
     histogram = {"log10_m": edges.tolist(), "count": counts.tolist()}
     return found | {
         "there_and_back": stats | {"histogram": histogram},
-        # vertices that were added on the way are interpolated, and tell nothing of the rock
-        "horizons": line_distances(as_drawn(first.lines), as_drawn(last.lines)),
+        "horizons": distances(first.lines, last.lines),
     }

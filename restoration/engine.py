@@ -82,6 +82,8 @@ class StokesEngine:
         notes: what has happened that whoever reads the results should know, lines of text.
     """
 
+    make_mesher = Mesher  # of a scene and the ranks
+
     def __init__(self, scene, ranks=None):
         self.ranks = ranks or world()
         self.sharing = Sharing(self.ranks)
@@ -99,7 +101,7 @@ class StokesEngine:
         self.spacing = np.sqrt(scene.outline.area / (4 * np.prod(scene.cells)))
         self.spacing /= np.sqrt(scene.particles.per_cell)
         with self.timed("setup"):
-            self.mesher = Mesher(scene, self.ranks)
+            self.mesher = self.make_mesher(scene, self.ranks)
             self.cell_size = self.mesher.finest
             lines = self._first_lines()
             try:

@@ -27,6 +27,7 @@ PRESETS = {
     "balanced": {"cells": 45, "per_cell": 4, "courant": 1.0, "min_steps": 10},
     "fine": {"cells": 90, "per_cell": 12, "courant": 1.0, "min_steps": 20},
 }
+BOX_CELLS = {"draft": 5, "balanced": 8, "fine": 12}  # of the shortest side of a box with a length
 LONGEST = 1e4 * UNITS["time"]["Myr"]  # s, of a march
 HIGHEST = {"velocity": 1.0, "pressure": 1e12, "length": 1e8}  # of walls, SI
 SCHEMES = ("rk4", "rk3", "midpoint", "implicit-midpoint", "paper", "euler")
@@ -72,10 +73,10 @@ OPTION_VALUE = re.compile(r"(?!(?i:[+-]?[.]?(nan|inf)))[A-Za-z0-9_.,+-]{1,40}")
 
 
 def read_cells(value):
-    """Return the number of squares along the shorter side, or (across, up)."""
+    """Return the number of squares along the shortest side, or (across, up), or (x, y, up)."""
     ask = "write the number of squares along the shorter side, or [across, up]"
     numbers = value if isinstance(value, list) else [value]
-    if len(numbers) not in (1, 2) or any(type(n) is not int for n in numbers):
+    if len(numbers) not in (1, 2, 3) or any(type(n) is not int for n in numbers):
         raise ValueError(f"{quoted(value)}: {ask}")
     for n in numbers:
         if not 1 <= n <= 5000:
@@ -235,11 +236,16 @@ def read_wall(value):
 
 
 class Cosine(Entry):
-    """A wave on a horizon: amplitude * cos(2 pi (x - phase) / wavelength), upwards."""
+    """A wave on a horizon: amplitude * cos(2 pi (x - phase) / wavelength), upwards.
+
+    In a box with a length times cos(2 pi (y - phase_y) / wavelength_y) where that is given.
+    """
 
     amplitude: Length
     wavelength: Size
     phase: Length = Quantity("0 km", 0.0)
+    wavelength_y: Size | None = None
+    phase_y: Length | None = None
 
 
 class Top(Entry):
@@ -258,9 +264,10 @@ class Layer(Entry):
 
 
 class Box(Entry):
-    """A box: x from 0 to width, z from -height to 0."""
+    """A box: x from 0 to width, z from -height to 0; with a length y from 0 to that."""
 
     width: Size
+    length: Size | None = None
     height: Size
 
 
@@ -298,12 +305,14 @@ Wall = Annotated[WallEntry, PlainValidator(read_wall)]
 
 
 class Boundary(Entry):
-    """The four walls."""
+    """The four walls, and the two more of a box with a length."""
 
     left: Wall = WallEntry(kind="free-slip")
     right: Wall = WallEntry(kind="free-slip")
     base: Wall = WallEntry(kind="no-slip")
     surface: Wall = WallEntry(kind="free-slip")
+    front: Wall | None = None
+    back: Wall | None = None
 
 
 class AirEntry(Entry):
@@ -354,7 +363,7 @@ class Refine(Entry):
 class Mesh(Entry):
     """The mesh."""
 
-    cells: Annotated[int | tuple[int, int], PlainValidator(read_cells)] | None = None
+    cells: Annotated[int | tuple[int, ...], PlainValidator(read_cells)] | None = None
     element: words(*ELEMENTS) = "P2-P1"
     interfaces: words("particles", "fitted", "auto") = "particles"
     refine: Refine | None = None

@@ -187,7 +187,7 @@ def draw_there_and_back(path, scene, start, x, unit, lines_start, lines_end, sta
     places = [(LEFT + k * step[0], bottom + (2 - k) * step[1], width, height) for k in range(3)]
     page.text(LEFT, page.size[1] - 35, shorten(scene.title, 70), weight="bold", size=11)
     _distance_map(page, places[0], panel, extent, distance)
-    _histogram(page, places[1], distance, stats)
+    draw_histogram(page, places[1], distance, stats)
     _horizons(page, places[2], panel, extent, lines_end)
     page.legend(legend, places[2][0] + width + 30, bottom + step[1] + height)
     scale_bar(page, LEFT + width, places[0][1] - 85, scene, extent, width)
@@ -196,11 +196,27 @@ def draw_there_and_back(path, scene, start, x, unit, lines_start, lines_end, sta
 
 def _distance_map(page, place, panel, extent, distance):
     """Draw a section coloured by the distance of every particle from its start."""
+    nearest = nearest_particle(panel, extent, place[2:])
+    image = np.where(nearest < 0, np.nan, distance[nearest])
+    axes = paint_distance(page, place, image, distance, extent)
+    draw_lines(axes, panel)
+    label_axes(axes, panel.scene, extent)
+    caption(page, place, "a", "distance of every particle from its start, at its start")
+
+
+def paint_distance(page, place, image, distance, extent):
+    """Paint an image of distances, m, with a colour bar beside it; return its axes.
+
+    Args:
+        page: `Page`.
+        place: left, bottom, width and height, pixels.
+        image: distance by pixel, shape (height, width), m.
+        distance: of all particles, shape (n,), m, above 0: the scale.
+        extent: left, right, bottom and top of the picture, m.
+    """
     from matplotlib.colors import LogNorm
 
     left, bottom, width, height = place
-    nearest = nearest_particle(panel, extent, (width, height))
-    image = np.where(nearest < 0, np.nan, distance[nearest])
     most = distance.max()
     least = min(max(np.quantile(distance, 0.02), most * 1e-3), most / 10)
     axes = page.axes(*place)
@@ -212,15 +228,14 @@ def _distance_map(page, place, panel, extent, distance):
         cmap="YlOrRd",
         norm=LogNorm(least, most),
     )
-    draw_lines(axes, panel)
-    label_axes(axes, panel.scene, extent)
     bar = page.figure.colorbar(picture, cax=page.axes(left + width + 12, bottom, 22, height))
     bar.ax.yaxis.set_major_formatter(lambda value, _: number(value))
+    bar.ax.yaxis.set_minor_formatter(lambda *_: "")
     bar.set_label("Distance (m)")
-    _caption(page, place, "a", "distance of every particle from its start, at its start")
+    return axes
 
 
-def _histogram(page, place, distance, stats):
+def draw_histogram(page, place, distance, stats):
     """Draw the distribution of the distances, both axes logarithmic."""
     axes = page.axes(*place)
     most = distance.max()
@@ -239,9 +254,10 @@ def _histogram(page, place, distance, stats):
     axes.set_ylim(0.7, None)
     axes.xaxis.set_major_formatter(lambda value, _: number(value))
     axes.yaxis.set_major_formatter(lambda value, _: number(value))
+    axes.xaxis.set_minor_formatter(lambda *_: "")
     axes.legend(loc="upper left", framealpha=1, edgecolor="none")
     axes.spines[["top", "right"]].set_visible(False)
-    _caption(page, place, "b", f"{len(distance)} particles by their distance")
+    caption(page, place, "b", f"{len(distance)} particles by their distance")
 
 
 def _horizons(page, place, panel, extent, lines_end):
@@ -255,7 +271,7 @@ def _horizons(page, place, panel, extent, lines_end):
         width = 0.5 if line.kind == "edge" else 1
         axes.plot(*line.points.T, color=colors[line.name], linewidth=width)
     label_axes(axes, panel.scene, extent)
-    _caption(page, place, "c", "horizons and faults at the start and at the end")
+    caption(page, place, "c", "horizons and faults at the start and at the end")
 
 
 def _horizon_legend(lines_end, horizons):
@@ -282,7 +298,8 @@ def _line_colors(lines):
     return {name: palette[k % len(palette)] for k, name in enumerate(names)}
 
 
-def _caption(page, place, letter, text):
+def caption(page, place, letter, text):
+    """Write a letter and a line of text above a part of a page."""
     left, bottom, _, height = place
     page.text(left, bottom + height + 15, letter, weight="bold", size=10)
     page.text(left + 22, bottom + height + 15, text)

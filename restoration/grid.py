@@ -89,7 +89,9 @@ class Grid:
         )
         self.sampler = velocity_sampler(self.spaces, scene.particles.velocity)
         self.contacts = None if regions is None else self._contacts(scene, lines)
-        self._share = {"triangle": 4, "quadrilateral": 1}[section.cell] * (3 if pair.split else 1)
+        self._share = {"triangle": 4, "quadrilateral": 1, "tetrahedron": 12}[section.cell] * (
+            3 if pair.split else 1
+        )
         self._u = fem.Function(self.spaces.V)
         rock = self.top.rock if self.top else 1
         self._squared = fem.form(rock * ufl.inner(self._u, self._u) * self.spaces.dx)
@@ -106,8 +108,8 @@ class Grid:
 
     @property
     def sizes(self):
-        """Side of the square that is split into cells of this area, shape (cells,), m."""
-        return np.sqrt(self._share * self.index.area)
+        """Side of the square or cube that is split into such cells, shape (cells,), m."""
+        return (self._share * self.index.area) ** (1 / self.section.dim)
 
     def fit(self, lines, rows=None, begins=False):
         """Move a fitted mesh to lines; return whether its cells have kept their shape.

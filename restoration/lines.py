@@ -62,7 +62,7 @@ def spaced(points, longest):
 
 
 def points_of(lines):
-    """Return the vertices of all lines in one array, shape (n, 2), m."""
+    """Return the vertices of all lines, or points of all sheets, in one array, (n, dim), m."""
     return np.concatenate([line.points for line in lines]) if lines else np.empty((0, 2))
 
 

@@ -52,6 +52,8 @@ def expected(scene, folder=KEPT):
         scene: `scene.Scene`.
         folder: of the measurements.
     """
+    if scene.dim == 3:  # the fronts are of two dimensions
+        return None
     found = [json.loads(path.read_text(encoding="utf-8")) for path in sorted(folder.glob("*.json"))]
     found = [sweep for sweep in found if sweep["about"]]
     if not found:

@@ -9,6 +9,7 @@ from scipy.spatial import cKDTree
 from restoration.errors import ParticleError
 from restoration.ranks import ALONE
 from restoration.seeding import seed_points
+from restoration.tetra import walk as walk_tetrahedra
 
 OUTSIDE = -1
 # Barycentric slack of a point on a facet; far above rounding, far below any visible distance.
@@ -57,22 +58,23 @@ class CellIndex:
     """Finds the cell of points and their hats in it by walking through the mesh.
 
     The hats of a point are the values of the hat functions of the corners there: barycentric
-    coordinates in a triangle, bilinear ones in a quadrilateral.
+    coordinates in a triangle or tetrahedron, bilinear ones in a quadrilateral.
 
     Args:
-        section: `meshes.data.SectionMesh` of two dimensions.
+        section: `meshes.data.SectionMesh`.
 
     Attributes:
-        corners: corner coordinates of every cell, shape (cells, k, 2), m; k is 3 or 4.
+        corners: corner coordinates of every cell, shape (cells, k, dim), m; k is 3 or 4.
         neighbours: cell across every facet, shape (cells, k); -1 on a wall.
-        area: of every cell, shape (cells,), m^2.
+        area: of every cell, or its volume, shape (cells,), m^dim.
         lid: nodes of the mesh along a free surface, shape (m, 2), m; None where there is none. A
             point above belongs to the rock right below: the mesh is straight between its nodes,
             the surface is not.
     """
 
     def __init__(self, section):
-        self._walk = {"triangle": _walk, "quadrilateral": _walk_squares}[section.cell]
+        walks = {"triangle": _walk, "quadrilateral": _walk_squares, "tetrahedron": walk_tetrahedra}
+        self._walk = walks[section.cell]
         self._section = section
         self.neighbours = np.ascontiguousarray(section.neighbours)
         self.lid = None

@@ -4,14 +4,19 @@ from restoration.advection import SCHEMES
 from restoration.scene import Table
 from restoration.units import show
 
+# Unknowns from which `auto` takes the field split, by dimensions. See docs/benchmarks.md.
+FIELDSPLIT_FROM = {2: 500_000, 3: 20_000}
+
 
 def unknowns(cells, element="P2-P1"):
     """Return cells and unknowns of a mesh of squares, crossed into triangles for most elements.
 
     Args:
-        cells: columns and rows of squares.
+        cells: columns and rows of squares; or cubes along x, y and z.
         element: name of the pair of elements.
     """
+    if len(cells) == 3:
+        return _box_unknowns(cells, element)
     across, up = cells
     squares = across * up
     if element.startswith("Q"):
@@ -33,10 +38,25 @@ def unknowns(cells, element="P2-P1"):
     return count, 2 * velocity + pressure
 
 
+def _box_unknowns(cells, element):
+    """Return cells and unknowns of a box of cubes, see `meshes.body_centred`."""
+    x, y, z = cells
+    cubes, outside = x * y * z, 2 * (x * y + y * z + z * x)
+    count = 12 * cubes + 2 * outside
+    vertices = (x + 1) * (y + 1) * (z + 1) + cubes + outside
+    faces = 2 * count + 2 * outside  # inner ones have two cells
+    edges = vertices + faces - count - 1  # Euler's formula for a ball
+    nodes = vertices + edges
+    if element == "P2b-P1dg":
+        return count, 3 * (nodes + faces + count) + 4 * count
+    return count, 3 * nodes + vertices
+
+
 def active(scene):
     """Return what the scene requires, and nothing else, with the reason for each."""
     plan = scene.mesh
-    parts = [f"plane strain Stokes flow on {plan.element} elements", _solver(scene), _mesh(scene)]
+    kind = "plane strain" if scene.dim == 2 else "three-dimensional"
+    parts = [f"{kind} Stokes flow on {plan.element} elements", _solver(scene), _mesh(scene)]
     fitted = plan.interfaces != "particles"
     if scene.one_viscosity and plan.refine is None and not fitted and not scene.free:
         parts.append("one factorisation for the whole run: one viscosity, a mesh that stands still")
@@ -113,11 +133,25 @@ def _solver(scene):
     """Return how the matrix is solved, in words."""
     given = "".join(f", {name}: {value}" for name, value in scene.solver.options)
     names = {
-        "auto": "solved directly: two dimensions",
+        "auto": "solved directly: two dimensions" if scene.dim == 2 else _solver_of_box(scene),
         "direct": "solved directly",
         "fieldsplit": "solved by FGMRES, velocity and pressure split",
     }
     return names[scene.solver.name] + given
+
+
+def solved_directly(scene):
+    """Return whether a box is solved by a factorisation."""
+    if scene.solver.name != "auto":
+        return scene.solver.name == "direct"
+    return unknowns(scene.cells, scene.mesh.element)[1] < FIELDSPLIT_FROM[3]
+
+
+def _solver_of_box(scene):
+    """Return which solver the size of a box takes, in words."""
+    if solved_directly(scene):
+        return f"solved directly: below {FIELDSPLIT_FROM[3]} unknowns"
+    return "solved by FGMRES, velocity and pressure split: three dimensions"
 
 
 def _mesh(scene):

@@ -1,4 +1,7 @@
-"""The tasks of a run: what is written after a step, at a mark and at the end."""
+"""The tasks of a run: what is written after a step, at a mark and at the end.
+
+On several ranks all of them go through the tasks, with the particles of all; the first one writes.
+"""
 
 import resource
 import subprocess
@@ -28,6 +31,7 @@ from restoration.output import (
     write_record,
 )
 from restoration.plan import counts_back, time_label
+from restoration.ranks import world
 from restoration.stopping import Stopping, fitting_text, flatness_of
 from restoration.topography import dynamic_topography
 from restoration.units import MYR, show
@@ -69,6 +73,7 @@ class Recorder:
         folder: the run folder, made and empty.
         progress: `progress.Progress`, or None.
         engine: makes the engine of a scene.
+        ranks: `ranks.Ranks` of the run; None for all that the program was started on.
 
     Attributes:
         engine: the engine, after `begin`.
@@ -76,8 +81,10 @@ class Recorder:
         stopping: `Stopping` of the march.
     """
 
-    def __init__(self, job, folder, progress=None, engine=StokesEngine):
-        self.job, self.scene, self.folder, self.progress = job, job.scene, Path(folder), progress
+    def __init__(self, job, folder, progress=None, engine=StokesEngine, ranks=None):
+        self.job, self.scene, self.folder = job, job.scene, Path(folder)
+        self.ranks = ranks or world()
+        self.progress = progress if self.ranks.first else None
         self._make_engine = engine
         self.engine, self.stopping = None, Stopping(self.scene.time)
         self.steps, self.elapsed = 0, 0.0
@@ -86,23 +93,42 @@ class Recorder:
         self._last = None
         self._framed = -1.0  # elapsed time of the last frame
         self._told = 0  # notes of the engine
-        self._follower = Follower(self.scene) if self.scene.certificate else None
+        self._follower = Follower(self.scene, self._whole) if self.scene.certificate else None
         self._certificate_s = None
         self._path = float(np.abs(np.diff(self.scene.time.marks)).sum())
-        with disk_faults(self.folder / "log.txt"):
-            self._log = (self.folder / "log.txt").open("w", encoding="utf-8")
+        self._load, self._counts = 1.0, {}
+        self._log = self.ranks.alone(self._open_log)
         self.record = {
             "ended_well": False,
             "case_sha256": job.sha256,
-            "ranks": 1,
+            "ranks": self.ranks.size,
             "seed": self.scene.particles.seed,
         }
+
+    def _open_log(self):
+        with disk_faults(self.folder / "log.txt"):
+            return (self.folder / "log.txt").open("w", encoding="utf-8")
+
+    def _whole(self, state):
+        """Return the state with the particles of all ranks."""
+        return self.engine.whole(state)
 
     def begin(self):
         """Make the engine and open the files."""
         self.say(f"{self.scene.title}: run folder {self.folder}")
         self.record |= {"commit": commit(), "versions": versions()}
         engine = self.engine = self._make_engine(self.scene)
+        scene = self.scene
+        self.ranks.alone(self._open_series)
+        self.record |= engine.about() | {"restorability": restorable(scene)}
+        if scene.free:
+            self.say(f"surface: {self.record['restorability']['verdict']}")
+        self.say(
+            f"{self.record['cells']} cells, {self.record['unknowns']} unknowns, "
+            f"marks {', '.join(time_label(scene, mark) for mark in scene.time.marks)}"
+        )
+
+    def _open_series(self):
         scene = self.scene
         self.fields = MeshSeries(self.folder / "fields.xdmf")
         frame = {
@@ -112,13 +138,6 @@ class Recorder:
         }
         self.cloud = ParticleSeries(self.folder / "particles.xdmf", frame)
         self.table = Diagnostics(self.folder / "diagnostics.csv", COLUMNS)
-        self.record |= engine.about() | {"restorability": restorable(scene)}
-        if scene.free:
-            self.say(f"surface: {self.record['restorability']['verdict']}")
-        self.say(
-            f"{self.record['cells']} cells, {self.record['unknowns']} unknowns, "
-            f"marks {', '.join(time_label(scene, mark) for mark in scene.time.marks)}"
-        )
 
     def step(self, before, state):
         """Write the row of a step and, where the case asks for steps, a frame."""
@@ -127,14 +146,16 @@ class Recorder:
         self.steps += 1
         self.elapsed += abs(dt)
         self._last = state
-        self.table.write(
-            step=self.steps,
-            time_Myr=state.time / MYR,
-            dt_kyr=dt / MYR * 1e3,
-            flatness_m=flatness_of(state.lines, self.stopping.plan),
-            wall_s=time.perf_counter() - self._began,
-            **self.engine.numbers(state),
-        )
+        row = self._counts = self.engine.numbers(state)
+        self._load = max(self._load, self.engine.sharing.load)
+        row |= {
+            "step": self.steps,
+            "time_Myr": state.time / MYR,
+            "dt_kyr": dt / MYR * 1e3,
+            "flatness_m": self._flatness(state),
+            "wall_s": time.perf_counter() - self._began,
+        }
+        self.ranks.alone(lambda: self.table.write(**row))
         if self._follower:
             self._follower.step(state)
         self._tell(state, dt)
@@ -148,22 +169,34 @@ class Recorder:
     def mark(self, number, state):
         """Write a frame, the lines and a picture at a mark."""
         begin = time.perf_counter()
+        self._volumes.append(volume_by_rock(self.scene, state.grid, state.particles))
+        self._last, state = state, self._whole(state)
         if number == 0:
             self.say(f"{len(state.particles.x)} particles")
+            self._count(state.particles)
         if self._follower:
             self._follower.mark(number, state)
         before = self._marks[-1].time if self._marks else None
-        self._last = state
-        self._volumes.append(volume_by_rock(self.scene, state.grid, state.particles))
         self._note_topography(state)
         self._marks.append(replace(state, flow=None, grid=None))  # large, and not compared
         self._frame(state)
         myr = state.time / MYR
         ages = counts_back(self.scene)
         name = f"{number}-{abs(myr):.3f}Ma" if ages else f"{number}-{myr:.3f}Myr"
-        about = {"mark": number, "model_time_Myr": state.time / MYR}
-        write_lines(self.folder / "horizons" / f"{name}.geojson", state.lines, about)
-        draw_section(
+        self._picture(name, state, before)
+        self.say(f"mark {number}: {time_label(self.scene, state.time)} after {self.steps} steps")
+        self._output_s += time.perf_counter() - begin
+
+    def _flatness(self, state):
+        return flatness_of(state.lines, self.stopping.plan)
+
+    def _picture(self, name, state, before):
+        """Write the lines and a picture at a mark."""
+        about = {"mark": int(name.partition("-")[0]), "model_time_Myr": state.time / MYR}
+        path = self.folder / "horizons" / f"{name}.geojson"
+        self.ranks.alone(write_lines, path, state.lines, about)
+        self.ranks.alone(
+            draw_section,
             self.folder / "figures" / f"section-{name}.png",
             self.scene,
             state.time,
@@ -173,8 +206,6 @@ class Recorder:
             _arrows(state) if self.scene.output.arrows else None,
             label=time_text(self.scene, state.time, before),
         )
-        self.say(f"mark {number}: {time_label(self.scene, state.time)} after {self.steps} steps")
-        self._output_s += time.perf_counter() - begin
 
     def end(self, error=None):
         """Write the record, and where a run was stopped the frame it has reached.
@@ -198,10 +229,12 @@ class Recorder:
             if isinstance(error, StoppedError) and self._last and self.elapsed > self._framed:
                 self._frame(self.engine.with_flow(self._last))
         finally:
-            self._write_record(code)
-            if error is not None:
-                self.say(f"{type(error).__name__}: {error}", aloud=False)
-            self._log.close()
+            self._end_record(code)
+            if self.ranks.first:
+                write_record(self.folder / "run.json", self.record)
+                if error is not None:
+                    self.say(f"{type(error).__name__}: {error}", aloud=False)
+                self._log.close()
         return self.record
 
     def reached(self):
@@ -215,6 +248,8 @@ class Recorder:
 
     def say(self, line, aloud=True):
         """Write a line to the log and, aloud, to the user."""
+        if not self.ranks.first:
+            return
         with disk_faults(self.folder / "log.txt"):
             print(line, file=self._log, flush=True)
         if aloud and self.progress:
@@ -231,14 +266,22 @@ class Recorder:
             f"{self.engine.counts.solves} solves  {100 * share:.0f} %  "
             f"about {wall * (1 - share) / share:.0f} s left"
         )
-        with disk_faults(self.folder / "log.txt"):
-            print(line, file=self._log)
+        if self.ranks.first:
+            with disk_faults(self.folder / "log.txt"):
+                print(line, file=self._log)
         if self.progress:
             self.progress.update(line)
 
+    def _count(self, particles):
+        """Note how many particles there are, of all ranks."""
+        self._counts = {"particles": len(particles.x), "particles_lost": particles.lost}
+
     def _frame(self, state):
-        scene, particles = self.scene, state.particles
         self._framed = self.elapsed
+        self.ranks.alone(self._write_frame, self._whole(state))
+
+    def _write_frame(self, state):
+        scene, particles = self.scene, state.particles
         snapshot = state.grid.snapshot
         point, cell = snapshot.read(state.flow, scene.output.fields)
         self.fields.write(self.elapsed, snapshot.points, snapshot.cells, point, cell, state.time)
@@ -268,12 +311,13 @@ class Recorder:
         panels = [
             (self.scene, s.time, s.particles.x, s.particles.unit, s.lines) for s in self._marks
         ]
-        draw_strip(figures / "strip.png", panels)
+        self.ranks.alone(draw_strip, figures / "strip.png", panels)
         found = compared(self._marks, self._volumes)
         self.record |= found
         if "there_and_back" in found:
             self._leave_out_welds(found)
-            draw_there_and_back(
+            self.ranks.alone(
+                draw_there_and_back,
                 figures / "there-and-back.png",
                 self.scene,
                 np.where(last.particles.inside[:, None], last.particles.start, np.nan),
@@ -312,15 +356,16 @@ class Recorder:
         )
         found = certified(self.scene, follower, growth, self.engine.cell_size)
         self.record["certificate"] = found
-        draw_certificate(self.folder / "figures/certificate.png", self.scene, growth, found)
-        write_text(self.folder / "certificate.md", report(self.scene, found))
+        path = self.folder / "figures/certificate.png"
+        self.ranks.alone(draw_certificate, path, self.scene, growth, found)
+        self.ranks.alone(write_text, self.folder / "certificate.md", report(self.scene, found))
         for line in sentences(found):
             self.say(line)
         self._certificate_s = round(time.perf_counter() - begin, 3)
 
     def prove(self, march, check=None):
         """Go forward again from where the way back ended, and compare; see `companions.prove`."""
-        follower = self._follower or Follower(self.scene)
+        follower = self._follower or Follower(self.scene, self._whole)
         if not follower.states or not follower.done:
             self.say("no proof: this run restores nothing, or its certificate is off")
             return
@@ -349,9 +394,10 @@ class Recorder:
         self.say(f"stop: {stopping.verdict(label)}")
         if fit:
             self.say(f"known age: {fitting_text(plan, fit)}")
-        draw_flatness(self.folder / "figures" / "flatness.png", self.scene, stopping)
+        path = self.folder / "figures" / "flatness.png"
+        self.ranks.alone(draw_flatness, path, self.scene, stopping)
 
-    def _write_record(self, code):
+    def _end_record(self, code):
         if self.engine is not None:
             work = self.engine.work()
             work["wall_by_part_s"] |= {
@@ -361,11 +407,9 @@ class Recorder:
             self.record |= work
         if self._last is not None:
             self.record |= relief(self._last.lines)
-            self.record |= {
-                "particles": len(self._last.particles.x),
-                "particles_lost": self._last.particles.lost,
-                "time_reached_s": self._last.time,
-            }
+            counts = {name: self._counts.get(name) for name in ("particles", "particles_lost")}
+            self.record |= counts | {"time_reached_s": self._last.time}
+            self.record["particle_load"] = round(self._load, 4)
         self.record |= {
             "ended_well": code == 0,
             "exit_code": code,
@@ -373,7 +417,6 @@ class Recorder:
             "wall_s": round(time.perf_counter() - self._began, 3),
             "peak_rss_mb": round(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024, 1),
         }
-        write_record(self.folder / "run.json", self.record)
 
 
 def _arrows(state):

@@ -2,10 +2,12 @@
 
 import io
 from dataclasses import dataclass, replace
+from math import prod
 from pathlib import Path
 
 from restoration.case import FILE_ENTRIES, read_case
 from restoration.entries import (
+    BOX_CELLS,
     QUADRATIC,
     Case,
     Entry,
@@ -21,6 +23,7 @@ from restoration.fault_entries import FaultEntry
 from restoration.faults import slim_notes, too_thin, with_faults
 from restoration.palette import unit_colors
 from restoration.scene import (
+    BOX_WALLS,
     WALLS,
     Air,
     CertificatePlan,
@@ -44,7 +47,7 @@ from restoration.units import Quantity
 from restoration.walls import loose, misplaced, unbalanced, wall_of
 from restoration.words import listed
 
-MOST_CELLS = 1_000_000  # triangles, of about 4.5 unknowns each
+MOST_CELLS = 1_000_000  # triangles or tetrahedra, of about 4.5 unknowns each
 MOST_PARTICLES = 20_000_000
 
 
@@ -83,25 +86,9 @@ def load(path, overrides=(), allow_outside=False):
     case, text, tree = read_case(path, overrides)
     source, digest = find_source(case, path, tree, allow_outside)
     shape = from_layers(case, tree) if source is None else from_file(case, source, tree)
-    walls = {name: wall_of(name, getattr(case.boundary, name)) for name in WALLS}
-    faults = [
-        tree.fault(("boundary",), text) for text in loose(walls) + unbalanced(walls, shape.outline)
-    ]
-    faults += [
-        tree.fault(("boundary", name), text)
-        for name, text in misplaced(case.boundary, walls, shape.outline, case.time.marks)
-    ]
-    crossed = [
-        name
-        for name, wall in walls.items()
-        if name in ("base", "surface")
-        and wall.kind != "free"
-        and normal_velocity(name, wall, shape.outline) != 0
-    ]
-    if case.mesh.interfaces != "particles" and crossed:
-        message = f"rock may cross the {listed(crossed, last='and')}, and mesh lines that follow it"
-        message += " would lose their ends there; let particles carry it"
-        faults.append(tree.fault(("mesh", "interfaces"), message))
+    names, dim = (BOX_WALLS, 3) if _has_length(case) else (WALLS, 2)
+    walls = {name: wall_of(name, getattr(case.boundary, name), dim) for name in names}
+    faults = _wall_faults(case, walls, shape, tree) if dim == 2 else []
     cells = _cells(case, shape.outline)
     outline, cut = on_columns(shape.outline, cells[0], walls["surface"].kind == "free")
     faults += _too_large(case, cells, tree)
@@ -120,11 +107,40 @@ def load(path, overrides=(), allow_outside=False):
     return Loaded(case, scene, text, resolved_yaml(case, scene, digest))
 
 
+def _has_length(case):
+    """Return whether a case is of three dimensions."""
+    return case.section.box is not None and case.section.box.length is not None
+
+
+def _wall_faults(case, walls, shape, tree):
+    """Return the faults of walls that cannot be what they are together."""
+    faults = [
+        tree.fault(("boundary",), text) for text in loose(walls) + unbalanced(walls, shape.outline)
+    ]
+    faults += [
+        tree.fault(("boundary", name), text)
+        for name, text in misplaced(case.boundary, walls, shape.outline, case.time.marks)
+    ]
+    crossed = [
+        name
+        for name, wall in walls.items()
+        if name in ("base", "surface")
+        and wall.kind != "free"
+        and normal_velocity(name, wall, shape.outline) != 0
+    ]
+    if case.mesh.interfaces != "particles" and crossed:
+        message = f"rock may cross the {listed(crossed, last='and')}, and mesh lines that follow it"
+        message += " would lose their ends there; let particles carry it"
+        faults.append(tree.fault(("mesh", "interfaces"), message))
+    return faults
+
+
 def _scene(case, shape, outline, walls, cells, title, notes):
     """Return the scene of a case whose parts have been found sound."""
     used = [name for name in case.rocks if name in shape.rocks]
     unused = [name for name in case.rocks if name not in shape.rocks]
-    notes, quadratic = [*notes], case.mesh.element in QUADRATIC
+    notes, deep = [*notes], _has_length(case)
+    conservative = case.mesh.element in QUADRATIC and not deep
     if unused:
         notes.append(f"rocks not in the section: {listed(unused, last='and')}")
     colors = unit_colors(
@@ -151,7 +167,7 @@ def _scene(case, shape, outline, walls, cells, title, notes):
             case.particles.densify,
             float(case.particles.jitter),
             case.particles.seed,
-            case.particles.velocity or ("conservative" if quadratic else "plain"),
+            case.particles.velocity or ("conservative" if conservative else "plain"),
         ),
         transfer=Transfer(case.transfer.density, case.transfer.viscosity, case.transfer.mean),
         time=TimePlan(
@@ -177,7 +193,9 @@ def _scene(case, shape, outline, walls, cells, title, notes):
         ),
         solver=SolverPlan(case.solver.name, case.solver.options),
         surface=_surface(case.surface),
-        certificate=_certificate(case.certificate),
+        certificate=None if deep else _certificate(case.certificate),
+        length=case.section.box.length.si if deep else None,
+        sheets=shape.sheets,
     )
 
 
@@ -221,6 +239,9 @@ def resolved_yaml(case, scene, digest=None):
     if case.section.layers:
         for name in FILE_ENTRIES:
             entries["section"].pop(name, None)
+    if scene.length:
+        entries["boundary"] |= {name: scene.walls[name].kind for name in ("front", "back")}
+        entries["certificate"] = "off"
     entries["mesh"] = _in_order(entries["mesh"] | {"cells": list(scene.cells)}, Mesh)
     if case.mesh.interfaces == "fitted":  # which averages nothing
         entries.pop("transfer")
@@ -277,25 +298,32 @@ def _plain(value):
 
 
 def _cells(case, outline):
-    """Return columns and rows of squares."""
-    cells = case.preset("mesh", "cells")
+    """Return columns and rows of squares, in three dimensions cubes along x, y and z."""
+    cells, extent = case.preset("mesh", "cells"), [outline.width, outline.height]
+    if _has_length(case):
+        cells = case.mesh.cells or BOX_CELLS[case.accuracy]
+        extent.insert(1, case.section.box.length.si)
     if isinstance(cells, tuple):
         return cells
-    size = min(outline.width, outline.height) / cells
-    return max(1, round(outline.width / size)), max(1, round(outline.height / size))
+    size = min(extent) / cells
+    return tuple(max(1, round(side / size)) for side in extent)
 
 
 def _too_large(case, cells, tree):
     """Return the faults of a mesh or a cloud beyond what a machine holds."""
-    triangles = 4 * cells[0] * cells[1]
-    if triangles > MOST_CELLS:
-        message = f"make {triangles} triangles; at most {MOST_CELLS} are possible"
-        return [tree.fault(("mesh", "cells"), f"{cells[0]} x {cells[1]} squares {message}")]
-    if triangles * case.preset("particles", "per_cell") > MOST_PARTICLES:
+    share, squares, names = 4, "squares", "triangles"
+    if len(cells) == 3:
+        share, squares, names = 12, "cubes", "tetrahedra"
+    count = share * prod(cells)
+    if count > MOST_CELLS:
+        message = f"make {count} {names}; at most {MOST_CELLS} are possible"
+        shape = " x ".join(map(str, cells))
+        return [tree.fault(("mesh", "cells"), f"{shape} {squares} {message}")]
+    if count * case.preset("particles", "per_cell") > MOST_PARTICLES:
         return [
             tree.fault(
                 ("particles", "per_cell"),
-                f"{triangles} triangles make more than {MOST_PARTICLES} particles",
+                f"{count} {names} make more than {MOST_PARTICLES} particles",
             )
         ]
     return []

@@ -9,7 +9,7 @@ import json
 import os
 import signal
 import tempfile
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from math import ceil
 from pathlib import Path
@@ -18,6 +18,7 @@ from restoration.errors import CaseError, OutputError, SolveError, StoppedError
 from restoration.stopping import Stopping
 from restoration.units import show
 
+STOPPING = signal.SIGINT, signal.SIGTERM, signal.SIGUSR1
 ROUNDING = 1e-9  # of a number of steps, which is a quotient of times
 MOST_STEPS = 1_000_000  # to a mark; a flow that needs more is not what the case is about
 
@@ -156,6 +157,8 @@ RUN_FILES = (
     "fields*.h5",
     "particles*.xdmf",
     "particles*.h5",
+    "horizons*.xdmf",
+    "horizons*.h5",
     "figures/section-*.png",
     "figures/strip.png",
     "figures/there-and-back.png",
@@ -206,9 +209,9 @@ def locked(folder):
 
 
 class StopRequest:
-    """Turns Ctrl-C and SIGTERM into a wish that is granted after the step.
+    """Turns Ctrl-C, SIGTERM and SIGUSR1 into a wish that is granted after the step.
 
-    A second Ctrl-C ends at once.
+    A second Ctrl-C ends at once. Programs that start ranks hand SIGUSR1 on to them, not the others.
     """
 
     def __init__(self):
@@ -218,7 +221,7 @@ class StopRequest:
     def __enter__(self):
         if self._before:
             return self
-        self._before = {s: signal.signal(s, self._ask) for s in (signal.SIGINT, signal.SIGTERM)}
+        self._before = {s: signal.signal(s, self._ask) for s in STOPPING}
         return self
 
     def __exit__(self, *_):
@@ -231,10 +234,16 @@ class StopRequest:
             raise KeyboardInterrupt
         self.wanted = True
 
-    def check(self, *_):
-        """Raise StoppedError if a stop was asked for."""
-        if self.wanted:
-            raise StoppedError("stopped on request")
+
+def _recorder(job, folder, progress):
+    """Return what writes the run folder; it loads dolfinx, which only a run needs."""
+    if job.scene.dim == 3:
+        from restoration.box_recorder import BoxRecorder
+
+        return BoxRecorder(job, folder, progress)
+    from restoration.recorder import Recorder
+
+    return Recorder(job, folder, progress)
 
 
 def run_job(job, progress=None, stop=None):
@@ -252,8 +261,17 @@ def run_job(job, progress=None, stop=None):
     Raises:
         RestorationError: with the exit code; the folder then holds what was reached.
     """
-    with stop or StopRequest() as stop, locked(job.folder):
-        folder = prepare_folder(job)
+    from restoration.ranks import world  # loads MPI: only a run needs it
+
+    ranks = world()
+
+    def check(*_):
+        if ranks.any(stop.wanted):
+            raise StoppedError("stopped on request")
+
+    with stop or StopRequest() as stop, ExitStack() as locks:
+        ranks.alone(lambda: locks.enter_context(locked(job.folder)))
+        folder = ranks.same(ranks.alone(prepare_folder, job))
         if folder is None:
             if job.prove and not _proved(job.folder):
                 raise CaseError(
@@ -261,25 +279,23 @@ def run_job(job, progress=None, stop=None):
                     "again with one"
                 )
             return None, job.folder
-        stop.check()
-        from restoration.recorder import Recorder  # loads dolfinx: only a run needs it
-
-        recorder = Recorder(job, folder, progress)
+        check()
+        recorder = _recorder(job, folder, progress)
         try:
             recorder.begin()
-            stop.check()
+            check()
             march(
                 recorder.engine.start(),
                 recorder.engine,
                 job.scene.time,
-                every_step=(recorder.step, stop.check),
-                at_marks=(recorder.mark, stop.check),
+                every_step=(recorder.step, check),
+                at_marks=(recorder.mark, check),
                 stopping=recorder.stopping,
             )
             recorder.compare()
-            recorder.certify(march, stop.check)
+            recorder.certify(march, check)
             if job.prove:
-                recorder.prove(march, stop.check)
+                recorder.prove(march, check)
         except StoppedError as stopped:
             recorder.end(stopped)
             raise StoppedError(f"stopped on request {recorder.reached()}; see {folder}") from None

@@ -1,9 +1,13 @@
 """The velocity at points, for every pair of elements."""
 
+from itertools import product
+
 import basix
 import basix.ufl_wrapper
 import numba
 import numpy as np
+
+from restoration.tetra import polynomial
 
 
 class VelocitySampler:
@@ -13,7 +17,7 @@ class VelocitySampler:
     found once for a flow; a point then costs a short sum.
 
     Args:
-        spaces: `Spaces` of two dimensions.
+        spaces: `Spaces` of triangles, squares or tetrahedra.
     """
 
     def __init__(self, spaces):
@@ -21,7 +25,7 @@ class VelocitySampler:
         cell = spaces.section.cell
         element = basix.ufl_wrapper.convert_ufl_element(spaces.pair.velocity(cell)).element
         self._square = cell == "quadrilateral"
-        self._powers = _powers(element.highest_degree, self._square)
+        self._powers = _powers(element.highest_degree, spaces.section.dim, self._square)
         points = basix.create_lattice(element.cell_type, 8, basix.LatticeType.equispaced, True)
         values = element.tabulate(0, points)[0, :, :, 0]
         monomials = np.prod(points[:, None, :] ** self._powers[None], axis=2)
@@ -29,26 +33,26 @@ class VelocitySampler:
         self._shape = np.linalg.lstsq(monomials, values, rcond=None)[0].T
 
     def coefficients(self, u):
-        """Return the coefficients of a velocity (nodes, 2), shape (cells, monomials, 2)."""
+        """Return the coefficients of a velocity (nodes, dim), shape (cells, monomials, dim)."""
         return np.einsum("km,ckd->cmd", self._shape, u[self.nodes])
 
     def __call__(self, coefficients, cell, hats):
-        """Return the velocity at points, shape (n, 2), m/s.
+        """Return the velocity at points, shape (n, dim), m/s.
 
         Args:
             coefficients: of `coefficients`.
             cell: cells of the points, shape (n,); OUTSIDE gives zero.
             hats: of the points, shape (n, k), see `CellIndex`.
         """
+        if self._powers.shape[1] == 3:
+            return polynomial(coefficients, self._powers, cell, hats)
         return _polynomial(coefficients, self._powers, cell, hats, self._square)
 
 
-def _powers(degree, square):
-    """Return the powers of the monomials of a degree, shape (monomials, 2)."""
-    powers = [
-        (i, j) for i in range(degree + 1) for j in range(degree + 1) if square or i + j <= degree
-    ]
-    return np.array(powers)
+def _powers(degree, dim, square):
+    """Return the powers of the monomials of a degree, shape (monomials, dim)."""
+    powers = product(range(degree + 1), repeat=dim)
+    return np.array([each for each in powers if square or sum(each) <= degree])
 
 
 @numba.njit(parallel=True, cache=True)

@@ -78,6 +78,8 @@ def _read(group, attributes):
     x = _member(group, "points", "f")[()]
     values = _member(group, "point") if "point" in group else {}
     data = {name: _member(values, name, "fi")[()] for name in values}
+    if x.shape[1:] == (3,):
+        raise ValueError("its particles have three coordinates, and a section has two")
     if x.ndim != 2 or x.shape[1] != 2 or any(v.shape[:1] != x.shape[:1] for v in data.values()):
         raise ValueError("the arrays do not fit each other")
     if not np.isfinite(x).all():

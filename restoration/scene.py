@@ -1,6 +1,7 @@
 """The scene: what a case asks for, resolved, in SI units and frozen.
 
-Coordinates are ``(x, z)``: x to the right, z up, m. In a box z is 0 at the surface.
+Coordinates are ``(x, z)``: x to the right, z up, m. In a box z is 0 at the surface. A box with a
+length has a third: ``(x, y, z)``, y from its front to its back.
 """
 
 from collections.abc import Callable
@@ -9,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 WALLS = ("left", "right", "base", "surface")
+BOX_WALLS = (*WALLS, "front", "back")  # in three dimensions
 
 
 def normal_axis(name, dim):
@@ -61,6 +63,23 @@ class Line:
     name: str
     kind: str
     points: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class Sheet:
+    """A horizon in three dimensions: a grid of points that move with the rock.
+
+    Attributes:
+        name: such as ``salt / sediment``.
+        kind: ``horizon``.
+        points: row by row along x, shape (n, 3), m.
+        shape: rows (along y) and columns (along x).
+    """
+
+    name: str
+    kind: str
+    points: np.ndarray
+    shape: tuple[int, int]
 
 
 @dataclass(frozen=True)
@@ -120,7 +139,7 @@ def value_at(value, points, time):
 
 @dataclass(frozen=True)
 class Wall:
-    """What happens on one wall, component by component along (x, z).
+    """What happens on one wall, component by component along (x, z), or (x, y, z).
 
     Attributes:
         kind: ``no-slip``, ``free-slip``, ``velocity``, ``traction`` or, of the surface, ``free``:
@@ -132,8 +151,8 @@ class Wall:
     """
 
     kind: str
-    velocity: tuple[float | Table | None, float | Table | None]
-    traction: tuple[float | Table, float | Table]
+    velocity: tuple[float | Table | None, ...]
+    traction: tuple[float | Table, ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -383,19 +402,22 @@ class Scene:
 
     Attributes:
         title: of the pictures.
-        outline: the frame.
+        outline: the frame; in three dimensions that of every vertical cut along x.
         rocks: the rock table.
         units: the mapped units, each of one rock.
-        unit_at: maps points (n, 2), m, to rows of `units`, shape (n,), int16.
+        unit_at: maps points (n, dim), m, to rows of `units`, shape (n,), int16.
         lines: horizons, faults and the edges of those with a width, which move with the rock.
-        walls: wall by name, one for each of `WALLS`.
+        walls: wall by name, one for each of `WALLS`, in three dimensions of `BOX_WALLS`.
         gravity: acceleration downwards, m/s^2.
-        cells: mesh columns and rows of squares; each becomes four triangles or a quadrilateral.
+        cells: mesh columns and rows of squares; each becomes four triangles or a quadrilateral. In
+            three dimensions cubes along x, y and z, each of twelve tetrahedra.
         particles, transfer, time, output: the plans.
         cloud: the particles where the case gives them, else None.
         notes: remarks on the input for the user, such as slivers that were closed.
         mesh, solver, surface: the plans of the mesh, the linear solver and a free surface.
         certificate: `CertificatePlan`, or None for no certificate.
+        length: along y, m; None in two dimensions.
+        sheets: horizons of three dimensions; they have no ``lines``.
     """
 
     title: str
@@ -406,7 +428,7 @@ class Scene:
     lines: tuple[Line, ...]
     walls: dict[str, Wall]
     gravity: float
-    cells: tuple[int, int]
+    cells: tuple[int, ...]
     particles: ParticlePlan
     transfer: Transfer
     time: TimePlan
@@ -418,6 +440,19 @@ class Scene:
     faults: tuple[Fault, ...] = ()
     surface: SurfacePlan = SurfacePlan()
     certificate: CertificatePlan | None = CertificatePlan()
+    length: float | None = None
+    sheets: tuple[Sheet, ...] = ()
+
+    @property
+    def dim(self):
+        """Dimensions, 2 or 3."""
+        return 2 if self.length is None else 3
+
+    @property
+    def extent(self):
+        """Width, length in three dimensions, and height, m."""
+        along = () if self.length is None else (self.length,)
+        return (self.outline.width, *along, self.outline.height)
 
     @property
     def free(self):
@@ -451,12 +486,13 @@ class Scene:
     @property
     def closed(self):
         """Whether the normal velocity is held on every wall, so that pressure floats."""
-        return all(self.normal_velocity(name) is not None for name in WALLS)
+        return all(self.normal_velocity(name) is not None for name in self.walls)
 
     @property
     def sealed(self):
         """Whether no rock crosses any wall; a free surface goes with it."""
-        return all(self.normal_velocity(n) == 0 for n in WALLS if n != "surface" or not self.free)
+        names = [name for name in self.walls if name != "surface" or not self.free]
+        return all(self.normal_velocity(name) == 0 for name in names)
 
 
 def normal_velocity(name, wall, outline):
@@ -471,7 +507,7 @@ def normal_velocity(name, wall, outline):
         outline: `Outline`.
     """
     velocity = [_greatest(value) for value in wall.velocity]
-    across = velocity[normal_axis(name, 2)]
+    across = velocity[normal_axis(name, len(velocity))]
     line = {"surface": outline.surface, "base": outline.base}.get(name)
     if wall.kind == "free-slip" or line is None or np.ptp(line[:, 1]) == 0:
         return across

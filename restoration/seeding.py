@@ -22,21 +22,21 @@ def seed_points(scene):
         scene: `scene.Scene`.
 
     Returns:
-        Positions (n, 2), m; rows of the unit table (n,); areas (n,), m^2.
+        Positions (n, dim), m; rows of the unit table (n,); areas (n,), m^2, or volumes, m^3.
     """
-    outline, plan = scene.outline, scene.particles
+    plan, dim = scene.particles, scene.dim
     rng = np.random.default_rng(plan.seed)
     share = _share(scene)
-    up, across = share.shape
+    counts = share.shape[::-1]
     share = share.ravel()
-    k, i = np.divmod(np.repeat(np.arange(share.size), share), across)
-    within = _r2_sequence(share)
-    spread = plan.jitter / np.sqrt(share[k * across + i])[:, None]
+    square = np.repeat(np.arange(share.size), share)
+    corner = np.column_stack(np.unravel_index(square, counts[::-1])[::-1])
+    within = _low_discrepancy(share, dim)
+    spread = plan.jitter / (share[square] ** (1 / dim))[:, None]
     within = np.clip(within + spread * (rng.random(within.shape) - 0.5), 0, 1 - 1e-9)
-    fraction = (np.column_stack([i, k]) + within) / (across, up)
-    x, height = _to_section(outline, fraction)
-    area = outline.width / across * height / up / share[k * across + i]
-    return x, scene.unit_at(x), area
+    x, height = _to_section(scene, (corner + within) / counts)
+    area = scene.outline.width / counts[0] * height / counts[-1] / share[square]
+    return x, scene.unit_at(x), area if dim == 2 else area * scene.length / counts[1]
 
 
 def count_points(scene):
@@ -45,25 +45,20 @@ def count_points(scene):
 
 
 def _share(scene):
-    """Return the number of particles in every lattice square, shape (up, across)."""
-    outline, cells, plan = scene.outline, scene.cells, scene.particles
-    count = 4 * cells[0] * cells[1] * plan.per_cell
-    across = max(cells[0], round(np.sqrt(count * outline.width / outline.height)))
-    up = max(cells[1], round(count / across))
-    middle = np.stack(
-        np.meshgrid((np.arange(across) + 0.5) / across, (np.arange(up) + 0.5) / up), axis=-1
-    )
-    x, _ = _to_section(outline, middle.reshape(-1, 2))
+    """Return the number of particles in every lattice square or cube, shape (up, .., across)."""
+    plan, dim, shape = scene.particles, scene.dim, _lattice(scene)
+    middle = np.meshgrid(*((np.arange(n) + 0.5) / n for n in shape), indexing="ij")[::-1]
+    x, _ = _to_section(scene, np.stack(middle, axis=-1).reshape(-1, dim))
     unit = scene.unit_at(x)
-    rock = np.array([u.rock for u in scene.units])[unit].reshape(up, across)
+    rock = np.array([u.rock for u in scene.units])[unit].reshape(shape)
     alone = np.ones(rock.shape, bool)  # no other rock in the next square
-    for axis in (0, 1):
+    for axis in range(dim):
         differs = np.diff(rock, axis=axis) != 0
-        one, two = [slice(None)] * 2, [slice(None)] * 2
+        one, two = [slice(None)] * dim, [slice(None)] * dim
         one[axis], two[axis] = slice(None, -1), slice(1, None)
         alone[tuple(one)] &= ~differs
         alone[tuple(two)] &= ~differs
-    square = outline.height / up, outline.width / across
+    square = np.divide(scene.extent[::-1], shape)
     bands = areas(scene.lines)
     off = {  # of the middles of the squares from the edges of the bands
         name: distance_to(area, min(square) / 2)(x).reshape(rock.shape)
@@ -73,7 +68,7 @@ def _share(scene):
     levels = refine.levels if refine and "interfaces" in refine.where else 0
     if (alone.all() and not bands) or (plan.densify == 1 and not levels and not bands):
         return np.ones(rock.shape, int)
-    reach = max(outline.width / cells[0], outline.height / cells[1])
+    reach = max(np.divide(scene.extent, scene.cells))
     finest = reach / 2**levels
     # from the middle of a square to the contact at the edge of the nearest one that touches it
     distance = np.full(rock.shape, np.inf)
@@ -98,6 +93,19 @@ def _share(scene):
     return share
 
 
+def _lattice(scene):
+    """Return squares or cubes of the lattice: up, in three dimensions along y, and across."""
+    cells, count = scene.cells, scene.particles.per_cell
+    width, *_, height = scene.extent
+    if scene.dim == 3:
+        size = (np.prod(scene.extent) / (12 * np.prod(cells) * count)) ** (1 / 3)
+        counts = [max(n, round(side / size)) for n, side in zip(cells, scene.extent, strict=True)]
+        return tuple(counts[::-1])
+    count *= 4 * cells[0] * cells[1]
+    across = max(cells[0], round(np.sqrt(count * width / height)))
+    return max(cells[1], round(count / across)), across
+
+
 def graded(distance, finest):
     """Return the wanted size of cells at a distance from a line, m: two of each size, then larger.
 
@@ -108,30 +116,34 @@ def graded(distance, finest):
     return 1.01 * np.maximum(finest, distance / 2)  # a little more, against rounding
 
 
-def _to_section(outline, fraction):
-    """Return the points at fractions (n, 2) of width and height, and the height there."""
+def _to_section(scene, fraction):
+    """Return the points at fractions (n, dim) of the extent, and the height there."""
+    outline = scene.outline
     x = outline.surface[0, 0] + fraction[:, 0] * outline.width
     top = np.interp(x, *outline.surface.T)
     bottom = np.interp(x, *outline.base.T)
-    return np.column_stack([x, bottom + fraction[:, 1] * (top - bottom)]), top - bottom
+    along = [] if scene.length is None else [fraction[:, 1] * scene.length]
+    z = bottom + fraction[:, -1] * (top - bottom)
+    return np.column_stack([x, *along, z]), top - bottom
 
 
-def _r2_sequence(share):
-    """Return points of low discrepancy in the unit square, ``share`` of them for every square.
+def _low_discrepancy(share, dim):
+    """Return points of low discrepancy in the unit square or cube, ``share`` for every one.
 
     Each pattern is moved to have its mean in the middle: a pattern that lies low in all squares
     would lift every contact.
     Source: the additive recurrence with the plastic number, the two-dimensional analogue of the
-    golden ratio.
+    golden ratio, and with the next of that row in three dimensions: r^(dim + 1) = r + 1.
     """
-    plastic = 1.324717957244746
+    ratio = {2: 1.324717957244746, 3: 1.2207440846057596}[dim]
+    powers = tuple(ratio**n for n in range(1, dim + 1))
     patterns = {}
     for count in np.unique(share):
-        points = (0.5 + np.arange(1, count + 1)[:, None] / (plastic, plastic**2)) % 1
+        points = (0.5 + np.arange(1, count + 1)[:, None] / powers) % 1
         points -= points.mean(axis=0)
         patterns[count] = 0.5 + points * min(1.0, 0.499 / max(np.abs(points).max(), 1e-9))
     first = np.r_[0, np.cumsum(share)[:-1]]
-    within = np.empty((share.sum(), 2))
+    within = np.empty((share.sum(), dim))
     for count, points in patterns.items():
         rows = first[share == count][:, None] + np.arange(count)
         within[rows] = points

@@ -8,7 +8,7 @@ import numpy as np
 
 from restoration.errors import CaseError
 from restoration.files import inside, near_file
-from restoration.scene import Cloud, Line, Outline
+from restoration.scene import Cloud, Line, Outline, Sheet
 from restoration.units import show
 from restoration.words import hint, listed
 
@@ -17,6 +17,8 @@ SIGNS = {"up": 1.0, "down": -1.0}
 HORIZON_POINTS = 401
 WAVE_POINTS = 40  # of a horizon, in one wave
 MOST_POINTS = 8000
+SHEET_POINTS = 101  # of a horizon in three dimensions, along the longer side
+SHEET_WAVE_POINTS, MOST_SHEET_POINTS = 16, 401
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,6 +32,7 @@ class Shape:
     lines: tuple[Line, ...]
     notes: tuple[str, ...] = ()
     cloud: Cloud | None = None
+    sheets: tuple[Sheet, ...] = ()
 
 
 def find_source(case, path, tree, allow_outside):
@@ -97,23 +100,24 @@ def _files_of(source):
 
 
 def from_layers(case, tree):
-    """Return the shape of box and layers."""
+    """Return the shape of box and layers, in two or three dimensions."""
     section = case.section
     width, height = section.box.width.si, section.box.height.si
-    waves = [layer.top.cosine.wavelength.si for layer in section.layers[:-1] if layer.top.cosine]
-    count = HORIZON_POINTS
-    if waves:
-        count = max(count, 1 + min(MOST_POINTS, round(WAVE_POINTS * width / min(waves))))
-    x = np.linspace(0, width, count)
+    waves = [layer.top.cosine for layer in section.layers[:-1] if layer.top.cosine]
+    x, y, shape = _stations(section.box, waves)
+    shortest = max(width, section.box.length.si if section.box.length else 0)
+    shortest /= _most_waves(section.box)
     below, tops, faults = np.full_like(x, -height), [], []
     for i, layer in enumerate(section.layers[:-1]):
         top = _top(layer.top)
-        z = top(x)
+        z = top(x, y)
         at = ("section", "layers", i, "top")
-        if layer.top.cosine and layer.top.cosine.wavelength.si * MOST_POINTS < WAVE_POINTS * width:
-            most = f"{MOST_POINTS // WAVE_POINTS} waves along the section are the most possible"
-            message = f"'{layer.top.cosine.wavelength.text}' is too short; {most}"
-            faults.append(tree.fault((*at, "cosine", "wavelength"), message))
+        short = [name for name in WAVELENGTHS if _wave(layer.top.cosine, name) < shortest]
+        for name in short:
+            most = f"{_most_waves(section.box)} waves along the section are the most possible"
+            message = f"'{getattr(layer.top.cosine, name).text}' is too short; {most}"
+            faults.append(tree.fault((*at, "cosine", name), message))
+        if short:
             continue
         for wrong, what in (
             (z <= below, "is not above the layer before it" if i else "is not above the base"),
@@ -121,6 +125,8 @@ def from_layers(case, tree):
         ):
             if wrong.any():
                 where = show(float(x[wrong.argmax()]), "length")
+                if section.box.length:
+                    where += f", y = {show(float(y[wrong.argmax()]), 'length')}"
                 faults.append(
                     tree.fault(
                         at,
@@ -135,28 +141,76 @@ def from_layers(case, tree):
     if faults:
         raise CaseError(faults)
     names = _layer_names(section.layers)
-    lines = tuple(
-        Line(f"{lower} / {upper}", "horizon", np.column_stack([x, top(x)]))
+    horizons = [
+        (f"{lower} / {upper}", "horizon", top(x, y))
         for lower, upper, top in zip(names, names[1:], tops, strict=False)
-    )
+    ]
+    if section.box.length:
+        lines = ()
+        sheets = tuple(Sheet(*of, np.column_stack([x, y, z]), shape) for *of, z in horizons)
+    else:
+        lines = tuple(Line(*of, np.column_stack([x, z])) for *of, z in horizons)
+        sheets = ()
 
     def unit_at(points):
-        above = [points[:, 1] > top(points[:, 0]) for top in tops]
+        x, *y, z = points.T
+        above = [z > top(x, *y) for top in tops]
         return np.sum(above, axis=0, dtype=np.int16) if above else np.zeros(len(points), np.int16)
 
     outline = Outline(
         np.array([[0.0, 0.0], [width, 0.0]]), np.array([[0.0, -height], [width, -height]])
     )
-    return Shape(outline, names, tuple(layer.rock for layer in section.layers), unit_at, lines)
+    rocks = tuple(layer.rock for layer in section.layers)
+    return Shape(outline, names, rocks, unit_at, lines, sheets=sheets)
+
+
+WAVELENGTHS = ("wavelength", "wavelength_y")
+
+
+def _wave(cosine, name):
+    """Return a wavelength, m; infinite where there is no wave."""
+    given = cosine and getattr(cosine, name)
+    return given.si if given else np.inf
+
+
+def _most_waves(box):
+    """Return how many waves along the longer side are drawn as such at the most."""
+    if box.length:
+        return MOST_SHEET_POINTS // SHEET_WAVE_POINTS
+    return MOST_POINTS // WAVE_POINTS
+
+
+def _stations(box, waves):
+    """Return where horizons are drawn: x and y, shape (n,), m, and the shape of their grid.
+
+    Args:
+        box: `entries.Box`.
+        waves: `entries.Cosine`s of the horizons.
+    """
+    width, lengths = box.width.si, [_wave(wave, name) for wave in waves for name in WAVELENGTHS]
+    shortest = min(lengths, default=np.inf)
+    if not box.length:
+        count = max(HORIZON_POINTS, 1 + min(MOST_POINTS, round(WAVE_POINTS * width / shortest)))
+        x = np.linspace(0, width, count)
+        return x, np.zeros_like(x), x.shape
+    sides = np.array([width, box.length.si])
+    wanted = SHEET_WAVE_POINTS * sides.max() / shortest
+    spacing = sides.max() / (min(MOST_SHEET_POINTS, max(SHEET_POINTS, 1 + round(wanted))) - 1)
+    axes = (np.linspace(0, side, 1 + max(1, round(side / spacing))) for side in sides)
+    x, y = np.meshgrid(*axes)
+    return x.ravel(), y.ravel(), x.shape
 
 
 def _top(entry):
-    """Return the height of a horizon as a function of x, m."""
+    """Return the height of a horizon as a function of x and y, m."""
     depth, wave = entry.depth.si, entry.cosine
     if wave is None:
-        return lambda x: np.full_like(x, -depth)
-    k = 2 * np.pi / wave.wavelength.si
-    return lambda x: -depth + wave.amplitude.si * np.cos(k * (x - wave.phase.si))
+        return lambda x, y=0.0: np.full_like(x, -depth)
+    k, a = 2 * np.pi / wave.wavelength.si, wave.amplitude.si
+    if not wave.wavelength_y:
+        return lambda x, y=0.0: -depth + a * np.cos(k * (x - wave.phase.si))
+    across, phase = 2 * np.pi / wave.wavelength_y.si, wave.phase_y.si if wave.phase_y else 0.0
+    return lambda x, y: -depth + a * np.cos(k * (x - wave.phase.si)) * np.cos(across * (y - phase))
 
 
 def _layer_names(layers):

@@ -128,7 +128,8 @@ def bisected(centres, weights, parts):
         axis = np.ptp(centres[cells], axis=0).argmax()
         cells = cells[np.argsort(centres[cells, axis], kind="stable")]
         below = np.cumsum(weights[cells])
-        cut = np.searchsorted(below, below[-1] * (count // 2) / count)
+        share = below[-1] * (count // 2) / count
+        cut = np.searchsorted(below, share * (1 + 1e-12), side="right")
         pieces.append((cells[:cut], first, count // 2))
         pieces.append((cells[cut:], first + count // 2, count - count // 2))
     return part

@@ -1,13 +1,19 @@
 """The fields of one instant as plain arrays, ready for a file."""
 
+import numpy as np
 from dolfinx import fem
 
 from forms.stokes import second_invariant
 from restoration.spaces import nodes
 
-# dolfinx numbers the edges of a triangle by their opposite corner, and those of a square row by
-# row; VTK goes round.
-VTK_NODES = {"triangle": [0, 1, 2, 5, 3, 4], "quadrilateral": [0, 1, 3, 2, 4, 6, 7, 5, 8]}
+# dolfinx numbers the edges of a triangle by their opposite corner, those of a square row by row,
+# and those of a tetrahedron from the one between the last corners; VTK goes round.
+VTK_NODES = {
+    "triangle": [0, 1, 2, 5, 3, 4],
+    "quadrilateral": [0, 1, 3, 2, 4, 6, 7, 5, 8],
+    "tetrahedron": [0, 1, 2, 3, 9, 6, 8, 7, 5, 4],
+}
+TURNED = [0, 2, 1, 3, 6, 5, 4, 7, 9, 8]  # of a tetrahedron, with its corners 1 and 2 exchanged
 
 
 class FieldSnapshot:
@@ -21,16 +27,20 @@ class FieldSnapshot:
         eta0: reference viscosity, Pa s.
 
     Attributes:
-        points: nodes, shape (n, 2), m.
-        cells: nodes of every cell in VTK's order, shape (m, 6) or (m, 9).
+        points: nodes, shape (n, dim), m.
+        cells: nodes of every cell in VTK's order, shape (m, 6), (m, 9) or (m, 10).
     """
 
     def __init__(self, spaces, fields, eta0):
         self.fields, self.eta0 = fields, eta0
-        section = spaces.section
+        section, self._dim = spaces.section, spaces.section.dim
         nodal = fem.FunctionSpace(section.mesh, ("Lagrange", 2))
-        self.points = nodal.tabulate_dof_coordinates()[:, :2].copy()
+        self.points = nodal.tabulate_dof_coordinates()[:, : self._dim].copy()
         self.cells = nodes(nodal)[:, VTK_NODES[section.cell]]
+        if section.cell == "tetrahedron":  # some are inside out, which their volumes would tell
+            a, b, c = np.moveaxis(section.corners[:, 1:] - section.corners[:, :1], 1, 0)
+            turned = np.einsum("cd,cd->c", np.cross(a, b), c) < 0
+            self.cells[turned] = self.cells[turned][:, TURNED]
         self._vectors = fem.Function(fem.VectorFunctionSpace(section.mesh, ("Lagrange", 2)))
         self._scalars, self._means = fem.Function(nodal), fem.Function(spaces.D)
         self._u, self._p = fem.Function(spaces.V), fem.Function(spaces.Q)
@@ -55,7 +65,7 @@ class FieldSnapshot:
         self._u.x.array[:] = flow.u.ravel()
         self._p.x.array[:] = flow.p
         readers = {
-            "velocity": lambda: (True, self._values(self._vectors, self._velocity).reshape(-1, 2)),
+            "velocity": lambda: (True, self._nodal_velocity()),
             "pressure": lambda: self._either("pressure", None),
             "density": lambda: self._either("density", self.fields.density_means),
             "viscosity": lambda: (False, self.fields.viscosity_means() * self.eta0),
@@ -66,6 +76,9 @@ class FieldSnapshot:
             at_nodes, values = readers[name]()
             (point if at_nodes else cell)[name] = values
         return point, cell
+
+    def _nodal_velocity(self):
+        return self._values(self._vectors, self._velocity).reshape(-1, self._dim)
 
     def _either(self, name, otherwise):
         """Return whether a field is at nodes, and its values."""

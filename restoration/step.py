@@ -27,14 +27,14 @@ class Step:
         slaving: whether slaved modes of the surface move with their equilibrium.
 
     Attributes:
-        start: the rows, shape (rows, 2), m.
+        start: the rows, shape (rows, dim), m.
         particles, fixed: number of particles, and of all rows but the area.
     """
 
     def __init__(self, engine, state, dt, scheme, slaving):
         self.engine, self.state, self.dt, self.scheme = engine, state, dt, SCHEMES[scheme]
         self.slaving = engine.surface.slaving if engine.surface and slaving else None
-        points = points_of(state.lines)
+        points = points_of(state.lines) if state.lines else state.particles.x[:0]
         rows = {"particles": state.particles.x, "lines": points}
         rows |= {
             name: wall_points(name, engine.outline(state.lines), engine.spacing / 2)
@@ -48,7 +48,7 @@ class Step:
         surface = engine.surface
         self.width = engine.scene.outline.width
         height = [line_area(surface_of(state.lines).points) / self.width] if surface else []
-        area = np.array([[h, 0.0] for h in height]).reshape(-1, 2)
+        area = np.array([[h, 0.0] for h in height]).reshape(-1, points.shape[1])
         self.lead = surface.lead(dt) if surface else 0.0
         self.start = np.concatenate([*rows.values(), area])
         stages = self.scheme.stages
@@ -65,21 +65,21 @@ class Step:
     def velocity(self, x):
         """Return the velocity of the rows where they are, solving Stokes where the scheme asks."""
         engine, state = self.engine, self.state
-        share, first = next(self._stages), self._flow is None
+        share, first, found = next(self._stages), self._flow is None, None
         if first and not self.lead:
             flow = state.flow
         elif not first and self.scheme.frozen:
             flow = self._flow
         else:
-            flow = self._solved(x, state.time + share * self.dt)
+            flow, found = self._solved(x, state.time + share * self.dt)
         if self.slaving and flow is not self._flow:
             with engine.timed("surface"):
                 self.slaving.look(engine.grid)
                 flow = self.slaving.corrected(flow)
         self._flow, self._flow_grid = flow, engine.grid
+        cell, hats = found or self._located(x[: self.fixed])
         with engine.timed("advect"):
-            grid, rows = engine.grid, x[: self.fixed]
-            cell, hats = self._located(rows)
+            grid = engine.grid
             u = grid.sampler(grid.sampler.coefficients(flow.u), cell, hats)
             if engine.surface:
                 u = np.vstack([u, [grid.top.flux(flow) / self.width, 0.0]])
@@ -106,9 +106,11 @@ class Step:
             return x, None
         weighted = zip(self.scheme.embedded, self._velocities, strict=True)
         off = self.dt * sum(weight * u for weight, u in weighted)
-        return x, float(np.percentile(ranks.rows(np.hypot(*off[self._own].T)), 99))
+        off = ranks.rows(np.linalg.norm(off[self._own], axis=1))
+        return x, float(np.percentile(off, 99))
 
     def _solved(self, x, time):
+        """Return the flow of the rows where they are, and cells and hats of the rows there."""
         engine, state = self.engine, self.state
         at = replace(state.particles, x=x[: self.particles])
         rows = with_points(state.lines, x[self._rows["lines"]])
@@ -121,7 +123,8 @@ class Step:
             cell, hats = self._located(x[: self.fixed])
             at = replace(at, cell=cell[: self.particles])
         before = self._flow_at if self._flow is not None and self.lead else None
-        return engine.solve(at, time, lines, hats[: self.particles], self.lead, before)
+        flow = engine.solve(at, time, lines, hats[: self.particles], self.lead, before)
+        return flow, (cell, hats)
 
     def _flow_at(self, points):
         """Return the velocity of the last stage at points, on the mesh it was solved on."""
@@ -130,10 +133,11 @@ class Step:
         return grid.sampler(grid.sampler.coefficients(self._flow.u), cell, hats)
 
     def _located(self, x):
+        """Return cells and hats of points in the mesh as it is."""
         grid = self.engine.grid
-        if grid is not self._grid:
-            self._grid, self._guess = grid, grid.index.guess(x)
         with self.engine.timed("advect"):
+            if grid is not self._grid:
+                self._grid, self._guess = grid, grid.index.guess(x)
             # What has left goes on with the rock at the wall, and so does what a stage carried
             # through a closed one: a velocity of zero there would be a jump.
             cell, hats = grid.index.locate(self.engine.within(x), self._guess)

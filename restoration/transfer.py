@@ -288,8 +288,8 @@ class Sharpening:
 
     def _find_mass(self):
         self._corners = self._index.corners
-        r, s = np.einsum("aqk,ckd->acqd", self._slopes, self._corners[self._rock])
-        weight = np.abs(r[..., 0] * s[..., 1] - r[..., 1] * s[..., 0]) * self._weights
+        axes = np.einsum("aqk,ckd->acqd", self._slopes, self._corners[self._rock])
+        weight = np.abs(_determinant(axes)) * self._weights
         mass = np.einsum("cq,qi,qj->cij", weight, self._hats, self._hats, optimize=True)
         mass = _summed(self._nodes, mass, len(self._inner))
         self._size = self._wide @ np.asarray(mass.sum(axis=1)).ravel()
@@ -329,6 +329,14 @@ class FittedFields:
 def cell_means(function):
     """Return the mean of the values of a function in every cell, shape (cells,)."""
     return function.x.array[nodes(function.function_space)].mean(axis=1)
+
+
+def _determinant(axes):
+    """Return the determinants of two or three vectors at many places, shape (dim, ..., dim)."""
+    r, s, *t = axes
+    if t:
+        return np.einsum("...d,...d->...", np.cross(r, s), t[0])
+    return r[..., 0] * s[..., 1] - r[..., 1] * s[..., 0]
 
 
 def _summed(nodes, parts, n):

@@ -7,17 +7,17 @@ from restoration.scene import WALLS, Table, Wall, normal_axis, normal_velocity, 
 from restoration.units import YEAR, show
 
 
-def wall_of(name, entry):
-    """Return a wall of the scene."""
-    zero = (0.0, 0.0)
+def wall_of(name, entry, dim=2):
+    """Return a wall of the scene; a wall that is not given is free-slip."""
+    zero = (0.0,) * dim
+    if entry is None or entry.kind == "free-slip":
+        held = [None] * dim
+        held[normal_axis(name, dim)] = 0.0
+        return Wall("free-slip", tuple(held), zero)
     if entry.kind == "no-slip":
         return Wall("no-slip", zero, zero)
     if entry.kind == "free":
         return Wall("free", (None, None), zero)
-    if entry.kind == "free-slip":
-        held = [None, None]
-        held[normal_axis(name, 2)] = 0.0
-        return Wall("free-slip", tuple(held), zero)
     values = tuple(_value_of(value, 1 - normal_axis(name, 2)) for value in entry.values)
     if entry.kind == "velocity":
         return Wall("velocity", values, zero)

@@ -26,7 +26,8 @@ from restoration.writing import check_room, disk_faults, replacing, write_text
 PART_SIZE = 64_000_000  # bytes after which the next .h5 is begun
 OVERHEAD = 200_000  # bytes, more than an .h5 needs for a frame besides the numbers
 NUMBERS = {"f8": "Float", "i2": "Short", "i4": "Int", "i8": "Int"}
-CELLS = {3: "Triangle", 6: "Triangle_6", 9: "Quadrilateral_9"}  # by their nodes
+# by their nodes
+CELLS = {3: "Triangle", 6: "Triangle_6", 9: "Quadrilateral_9", 10: "Tetrahedron_10"}
 
 
 class _Series:
@@ -134,12 +135,13 @@ class MeshSeries(_Series):
 
         Args:
             elapsed: time run so far, forward and back, s; it must ascend.
-            points: nodes, shape (n, 2), m.
+            points: nodes, shape (n, 2) or (n, 3), m.
             cells: nodes of every cell: of triangles, shape (m, 3), or (m, 6) for quadratic ones:
                 the corners, then the nodes in the middle of the edges 01, 12 and 20; of squares,
-                shape (m, 9): four corners going round, the middles of their edges, the centre.
-            point_data: values at the nodes by name, shape (n,) or (n, 2), SI.
-            cell_data: values in the cells by name, shape (m,) or (m, 2), SI.
+                shape (m, 9): four corners going round, the middles of their edges, the centre; of
+                tetrahedra, shape (m, 10): corners, the middles of the edges 01, 12, 20, 03, 13, 23.
+            point_data: values at the nodes by name, shape (n,), (n, 2) or (n, 3), SI.
+            cell_data: values in the cells by name, of the same shapes, SI.
             time: model time, s; appears as field ``model_time_Myr``.
 
         Raises:
@@ -165,8 +167,8 @@ class ParticleSeries(_Series):
 
         Args:
             elapsed: time run so far, forward and back, s; it must ascend.
-            x: positions, shape (n, 2), m.
-            data: values by name, such as ``unit``, shape (n,) or (n, 2), SI.
+            x: positions, shape (n, 2) or (n, 3), m.
+            data: values by name, such as ``unit``, shape (n,), (n, 2) or (n, 3), SI.
             time: model time, s; appears as field ``model_time_Myr``.
 
         Raises:
@@ -200,15 +202,17 @@ def _reserve(file, size):
 def _numbers(name, values, rows):
     """Return values as they are stored: float64 or integers, vectors with three components."""
     values = np.asarray(values)
-    if values.shape not in ((rows,), (rows, 2)) or rows == 0:
-        raise ValueError(f"{name}: shape {values.shape}, expected ({rows},) or ({rows}, 2)")
+    if values.shape not in ((rows,), (rows, 2), (rows, 3)) or rows == 0:
+        raise ValueError(
+            f"{name}: shape {values.shape}, expected ({rows},), ({rows}, 2) or (.., 3)"
+        )
     if "/" in name:
         raise ValueError(f"{name}: a name may not contain a slash")
     if values.dtype.kind == "f":
         values = values.astype(np.float64, copy=False)
     elif values.dtype.str[1:] not in NUMBERS:
         values = values.astype(np.int16 if values.dtype.itemsize == 1 else np.int64)
-    if values.ndim == 2 and name != "points":
+    if values.shape[1:] == (2,) and name != "points":
         values = np.column_stack([values, np.zeros(rows)])
     return np.ascontiguousarray(values)
 
@@ -230,7 +234,8 @@ def _grid(elapsed, time, topology_type, arrays, place):
         f'<Time Value="{float(elapsed)!r}"/>',
         f'<Topology TopologyType="{topology_type}" NumberOfElements="{n_cells}" '
         f'NodesPerElement="{corners}">{item("topology")}</Topology>',
-        f'<Geometry GeometryType="XY">{item("points")}</Geometry>',
+        f'<Geometry GeometryType="{"XYZ"[: arrays["points"].shape[1]]}">'
+        f"{item('points')}</Geometry>",
     ]
     if time is not None:
         lines.append(

@@ -24,10 +24,11 @@ def test_there_are_cases():
 
 @pytest.mark.parametrize("path", CASES, ids=names)
 def test_case_runs_coarse(path, tmp_path):
-    courant = max(2, load(path).scene.time.courant)
-    overrides = [
-        part for entry in (*COARSE, f"time.courant={courant}") for part in ("--set", entry)
-    ]
+    scene = load(path).scene
+    entries = *COARSE, f"time.courant={max(2, scene.time.courant)}"
+    if scene.dim == 3:
+        entries = *entries, "mesh.cells=3"
+    overrides = [part for entry in entries for part in ("--set", entry)]
     code = main(["run", str(path), "--quiet", "--out", str(tmp_path / "run"), *overrides])
     record = json.loads((tmp_path / "run" / "run.json").read_text())
     assert code == 0
@@ -54,6 +55,19 @@ def run(case, out, *overrides):
     sets = [part for entry in overrides for part in ("--set", entry)]
     assert main(["run", str(ROOT / case), "--quiet", "--out", str(out), *sets]) == 0
     return json.loads((out / "run.json").read_text())
+
+
+@pytest.mark.slow
+def test_three_dimensions_come_back(tmp_path):
+    begin = time.process_time()
+    record = run("cases/diapir-3d/case.yaml", tmp_path / "run")
+    assert time.process_time() - begin < 120
+    assert record["particles_lost"] == 0
+    assert record["there_and_back"]["mean_m"] < 0.5
+    assert record["there_and_back"]["max_m"] < 20
+    assert record["horizons"][0]["max_m"] < 10
+    assert record["factorisations"] == 1
+    assert all(abs(change) < 5e-3 for change in record["volume_by_rock_largest_change"].values())
 
 
 @pytest.mark.slow

@@ -12,7 +12,7 @@ import pytest
 ROOT = Path(__file__).parents[1]
 # Root may be all there is in a container; OpenMPI asks twice.
 SETTINGS = {"OMPI_ALLOW_RUN_AS_ROOT": "1", "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM": "1"}
-SETTINGS |= {"OMP_NUM_THREADS": "1", "PYTHONPATH": str(ROOT)}
+SETTINGS |= {"OMP_NUM_THREADS": "1", "NUMBA_NUM_THREADS": "1", "PYTHONPATH": str(ROOT)}
 
 
 def on_ranks(script, ranks):
@@ -33,7 +33,7 @@ def on_ranks(script, ranks):
     return json.loads(done.stdout.splitlines()[-1])
 
 
-@pytest.fixture(scope="module", params=["mpi_flows.py", "meshes/mpi_meshes.py"])
+@pytest.fixture(scope="module", params=["mpi_flows.py", "mpi_runs.py", "meshes/mpi_meshes.py"])
 def script(request):
     return ROOT / "tests" / request.param
 

@@ -68,6 +68,11 @@ def same(one, other):
     np.testing.assert_array_equal(one.outline.base, other.outline.base)
     low, high = one.outline.base.min(axis=0), one.outline.surface.max(axis=0)
     points = np.random.default_rng(0).uniform(low, high, (500, 2))
+    assert one.length == other.length
+    if one.length:
+        points = np.insert(points, 1, one.length * points[:, 0] / high[0], axis=1)
+    for a, b in zip(one.sheets, other.sheets, strict=True):
+        np.testing.assert_array_equal(a.points, b.points)
     np.testing.assert_array_equal(one.unit_at(points), other.unit_at(points))
 
 

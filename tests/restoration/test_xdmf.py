@@ -173,7 +173,7 @@ def test_time_must_ascend(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "data", [{"f": np.zeros(8)}, {"f": np.zeros((9, 3))}, {"a/b": np.zeros(9)}, {"f": 1.0}]
+    "data", [{"f": np.zeros(8)}, {"f": np.zeros((9, 4))}, {"a/b": np.zeros(9)}, {"f": 1.0}]
 )
 def test_values_that_do_not_fit_are_refused(tmp_path, data):
     with pytest.raises(ValueError, match=r"shape|slash"):
