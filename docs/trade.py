@@ -91,6 +91,8 @@ def presets():
         found = kept(name)
         trials = {trial["label"]: trial for trial in found["trials"]} if found else {}
         texts = [gave_text(trials.get(f"preset {column}")) for column in gave[0][1:]]
+        if found and found["about"] and found["about"]["interfaces"] != "particles":
+            texts = [""] * len(PRESETS) + texts[: len(PRESETS)]  # fitted as it is
         if any(texts):
             gave.append((name, *texts))
     return f"{table_markdown(rows)}\n\n{table_markdown(gave)}"

@@ -190,6 +190,8 @@ class CaseSubject(Subject):
     def __init__(self, path, scene, sets=(), outside=False):
         name = path.absolute().parent.name if path.stem == "case" else path.stem
         super().__init__(name, scene.title, "m", ("mean", "greatest"))
+        if scene.dim == 3:
+            raise CaseError(f"{path}: settings are traded in two dimensions only so far")
         if not any(line.kind == "horizon" for line in scene.lines) and not scene.free:
             raise CaseError(f"{path}: has no horizon and no free surface whose way can be compared")
         self.scene, self.about = scene, kind_of(scene)

@@ -30,6 +30,7 @@ def flags(sets):
     [
         (["solcxx"], "did you mean 'solcx'"),
         (["no-such.yaml"], "no-such.yaml"),
+        (["diapir-3d"], "two dimensions only"),
         (["graven"], "did you mean 'graben'"),
         (["solcx", "--set", "mesh.cell=3"], "did you mean 'mesh.cells'"),
         (["solcx", "--set", "mesh.cells=many"], "'many' is no int"),
