@@ -19,6 +19,7 @@ from restoration.scene import Scene
 from restoration.sheets import crossing, triangles
 from restoration.units import number
 
+DEEPEST = 1200  # pixels of a map along y
 BELOW = 80  # pixels for what is written below a cut or a map
 GAP, MAP_GAP, BAR = 40, 130, 22  # between columns, between cut and map, of a colour bar, pixels
 
@@ -79,7 +80,8 @@ def draw_box(path, shots):
         OutputError: the picture could not be written.
     """
     scene, cut = shots[0].scene, extent_of_cut(shots[0].scene)
-    width, high = fit(cut, scene.output.exaggeration, 1900 / len(shots), 700)
+    widest = min(1900 / len(shots), DEEPEST * scene.outline.width / scene.length)
+    width, high = fit(cut, scene.output.exaggeration, widest, 700)
     chosen = _boldest(shots)
     deep = round(width * scene.length / scene.outline.width) if chosen is not None else 0
     handles = legend_handles(shots)
@@ -93,7 +95,7 @@ def draw_box(path, shots):
     for i, shot in enumerate(shots):
         left = LEFT + i * (width + GAP)
         _draw_cut(page.axes(left, low, width, high), shot, (width, high), i == 0)
-        page.text(left, low + high + 15, shot.label)
+        page.text(left, low + high + 15, shot.label + _stretched(scene) * (i == 0))
         if not deep:
             continue
         axes = page.axes(left, BELOW + 30, width, deep)
@@ -134,6 +136,12 @@ def draw_box_return(path, start, end, stats):
     caption(page, place, "a", "distance of every particle from its start, at its start")
     draw_histogram(page, (LEFT, BELOW + 30, width, 360), distance, stats)
     page.save(path)
+
+
+def _stretched(scene):
+    """Return the vertical exaggeration of the cuts in words, nothing where there is none."""
+    ratio = scene.output.exaggeration
+    return "" if ratio == 1 else f"      V.E. \N{MULTIPLICATION SIGN} {number(ratio)}"
 
 
 def _boldest(shots):
@@ -190,6 +198,6 @@ def _draw_map(axes, sheet, scene, span, first):
 
 def _depth_bar(page, place, mapped, extent):
     bar = page.figure.colorbar(mapped, cax=page.axes(*place))
-    bar.ax.yaxis.set_major_formatter(lambda value, _: number(value + 0.0, 3))
+    bar.ax.yaxis.set_major_formatter(lambda value, _: number(value + 0.0, 4))
     bar.ax.invert_yaxis()
     bar.set_label(f"Depth ({length_unit(extent)[0]})")

@@ -2,6 +2,8 @@
 
 from dataclasses import replace
 
+import numpy as np
+
 from restoration.box_engine import BoxEngine
 from restoration.box_figures import Shot, draw_box, draw_box_return
 from restoration.canvas import time_text
@@ -31,8 +33,9 @@ class BoxRecorder(Recorder):
         found = compared(self._marks, self._volumes, sheet_distances)
         self.record |= found
         if "there_and_back" in found:
-            last = self._marks[-1]
-            start = replace(shots[0], x=last.particles.start, unit=last.particles.unit)
+            last = self._marks[-1].particles
+            start = np.where(last.inside[:, None], last.start, np.nan)
+            start = replace(shots[0], x=start, unit=last.unit)
             path = figures / "there-and-back.png"
             self.ranks.alone(draw_box_return, path, start, shots[-1], found["there_and_back"])
 

@@ -125,7 +125,7 @@ def describe_text(loaded, forecast=None):
         f"{about['stokes_solves_at_least']} Stokes solves; more where the flow is fast "
         f"(courant {scene.time.courant:g})",
         f"memory     about {about['memory_mb_about']} MB",
-        *(_forecast_lines(forecast) if scene.dim == 2 else ()),
+        *_forecast_lines(forecast),
         *_expected_lines(about["expected"]),
     ]
     if scene.free:

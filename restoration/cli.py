@@ -136,7 +136,6 @@ def _check(options):
 
     loaded, told = _load(options), None
     if options.forecast:
-        _refuse_length(options, loaded, "--forecast")
         from restoration.forecast import forecast
 
         use_jit_cache()

@@ -14,15 +14,17 @@ from math import ceil
 import numpy as np
 
 from restoration.advection import SCHEMES
+from restoration.box_engine import BoxEngine
 from restoration.companions import COARSER, INSTANTS, LEAST_CELLS, companion_scene, way_back
 from restoration.engine import StokesEngine
-from restoration.entries import PRESETS
+from restoration.entries import BOX_CELLS, PRESETS
 from restoration.errors import MeshError
 from restoration.run import march, next_time
 from restoration.shapes import on_columns
 from restoration.stopping import Stopping
 
-COARSE = 12  # squares along the shorter side of a rehearsal
+COARSE = {2: 12, 3: 5}  # squares, or cubes, along the shorter side of a rehearsal
+LEAST = 4  # of them along any side
 TIMED = 2  # steps of the run that are timed
 START_S = 4.0  # of a run: what is loaded before its own clock begins, and what it writes
 MARK_S, PER_PARTICLE_S = 1.0, 3e-6  # of a mark: frame and picture
@@ -83,7 +85,7 @@ def forecast(scene):
     """
     paces, first = rehearsal(scene)
     begin = time.perf_counter()
-    engine = StokesEngine(scene)
+    engine = (StokesEngine if scene.dim == 2 else BoxEngine)(scene)
     state = engine.with_flow(engine.start())
     setup = time.perf_counter() - begin
     ratio = state.grid.fastest(state.flow) / first if first else 1.0
@@ -95,13 +97,13 @@ def forecast(scene):
     run_s = START_S + setup + marks + sum(steps) * step_s
     presets = {}
     for name, preset in PRESETS.items():
-        finer = preset["cells"] / min(scene.cells)
+        finer = (preset["cells"] if scene.dim == 2 else BOX_CELLS[name]) / min(scene.cells)
         # A courant number that bounds nothing stays so.
         courant = preset["courant"] if plan.courant <= 1 else plan.courant
         there = replace(plan, courant=courant, min_steps=preset["min_steps"])
         again = steps_of(paces, there, ratio * finer)
-        cost = step_s * finer ** (2 * COST_GROWTH)
-        whole = START_S + marks + (setup * finer**2) + sum(again) * cost
+        cost = step_s * finer ** (scene.dim * COST_GROWTH)
+        whole = START_S + marks + setup * finer**scene.dim + sum(again) * cost
         presets[name] = whole + certificate_seconds(scene, again, cost, finer)
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
     return Forecast(
@@ -115,8 +117,8 @@ def forecast(scene):
     )
 
 
-class NotingEngine(StokesEngine):
-    """Notes what bounds its steps.
+class Noting:
+    """What an engine does besides: it notes what bounds its steps.
 
     Attributes:
         noted: cells crossed in a time, 1/s, and the longest step that the surface bears, s, when
@@ -124,7 +126,7 @@ class NotingEngine(StokesEngine):
     """
 
     def stable_step(self, state, mark):
-        """Return the longest step, see `StokesEngine.stable_step`."""
+        """Return the longest step, see the engine."""
         longest, fastest = super().stable_step(state, mark), state.grid.fastest(state.flow)
         bound = np.inf
         if self.surface:
@@ -133,23 +135,32 @@ class NotingEngine(StokesEngine):
         return longest
 
 
+class NotingEngine(Noting, StokesEngine):
+    """A `StokesEngine` that notes what bounds its steps."""
+
+
+class NotingBox(Noting, BoxEngine):
+    """A `BoxEngine` that notes what bounds its steps."""
+
+
 def rehearsal(scene):
     """Go the way of a scene on coarse cells.
 
     Returns:
         A list of `Pace`, and how many cells were crossed in a time at the start, 1/s.
     """
-    coarser = max(1.0, min(scene.cells) / COARSE)
-    cells = tuple(max(4, round(n / coarser)) for n in scene.cells)
+    coarser = max(1.0, min(scene.cells) / COARSE[scene.dim])
+    cells = tuple(max(min(LEAST, n), round(n / coarser)) for n in scene.cells)
+    plane = scene.dim == 2
     rough = replace(
         scene,
         cells=cells,
-        outline=on_columns(scene.outline, cells[0], scene.free)[0],
+        outline=on_columns(scene.outline, cells[0], scene.free)[0] if plane else scene.outline,
         mesh=replace(scene.mesh, interfaces="particles", refine=None),
         particles=replace(scene.particles, densify=min(scene.particles.densify, 4)),
         time=replace(scene.time, scheme="midpoint", courant=1.0, min_steps=8, tolerance=None),
     )
-    engine, paces, leg = NotingEngine(rough), [], [0]
+    engine, paces, leg = (NotingEngine if plane else NotingBox)(rough), [], [0]
 
     def note(before, state):
         paces.append(Pace(leg[0] + 1, abs(state.time - before.time), *engine.noted))

@@ -105,37 +105,18 @@ def from_layers(case, tree):
     width, height = section.box.width.si, section.box.height.si
     waves = [layer.top.cosine for layer in section.layers[:-1] if layer.top.cosine]
     x, y, shape = _stations(section.box, waves)
-    shortest = max(width, section.box.length.si if section.box.length else 0)
-    shortest /= _most_waves(section.box)
     below, tops, faults = np.full_like(x, -height), [], []
     for i, layer in enumerate(section.layers[:-1]):
-        top = _top(layer.top)
-        z = top(x, y)
-        at = ("section", "layers", i, "top")
-        short = [name for name in WAVELENGTHS if _wave(layer.top.cosine, name) < shortest]
-        for name in short:
-            most = f"{_most_waves(section.box)} waves along the section are the most possible"
-            message = f"'{getattr(layer.top.cosine, name).text}' is too short; {most}"
-            faults.append(tree.fault((*at, "cosine", name), message))
+        top, at = _top(layer.top), ("section", "layers", i, "top")
+        short = _too_short(section.box, layer.top.cosine)
+        faults += [tree.fault((*at, "cosine", name), message) for name, message in short]
         if short:
             continue
-        for wrong, what in (
-            (z <= below, "is not above the layer before it" if i else "is not above the base"),
-            (z >= 0, "is not below the surface"),
-        ):
-            if wrong.any():
-                where = show(float(x[wrong.argmax()]), "length")
-                if section.box.length:
-                    where += f", y = {show(float(y[wrong.argmax()]), 'length')}"
-                faults.append(
-                    tree.fault(
-                        at,
-                        f"the top of '{layer.name or layer.rock}' {what} at x = {where}, "
-                        f"z = {show(float(z[wrong.argmax()]), 'length')}; tops are given from the "
-                        "base up and may not touch",
-                    )
-                )
-                break
+        z = top(x, y)
+        floor = "the layer before it" if i else "the base"
+        place = x, y if section.box.length else None, z
+        if told := _touches(layer, floor, below, *place):
+            faults.append(tree.fault(at, told))
         below = z
         tops.append(top)
     if faults:
@@ -162,6 +143,45 @@ def from_layers(case, tree):
     )
     rocks = tuple(layer.rock for layer in section.layers)
     return Shape(outline, names, rocks, unit_at, lines, sheets=sheets)
+
+
+def _too_short(box, cosine):
+    """Return (entry, message) of the wavelengths that are too short to be drawn."""
+    shortest = max(box.width.si, box.length.si if box.length else 0) / _most_waves(box)
+    most = f"{_most_waves(box)} waves along the section are the most possible"
+    return [
+        (name, f"'{getattr(cosine, name).text}' is too short; {most}")
+        for name in WAVELENGTHS
+        if _wave(cosine, name) < shortest
+    ]
+
+
+def _touches(layer, floor, below, x, y, z):
+    """Return the message about a top that meets what is below it or the surface, or None.
+
+    Args:
+        layer: `entries.Layer`.
+        floor: what is below it, in words.
+        below: height of that, shape (n,), m.
+        x, y, z: points of the top, shape (n,), m; y is None in two dimensions.
+    """
+    for wrong, what in (
+        (z <= below, f"is not above {floor}"),
+        (z >= 0, "is not below the surface"),
+    ):
+        if wrong.any():
+            axes = {"x": x, "y": y, "z": z}
+            row = wrong.argmax()
+            where = ", ".join(
+                f"{name} = {show(float(axis[row]), 'length')}"
+                for name, axis in axes.items()
+                if axis is not None
+            )
+            return (
+                f"the top of '{layer.name or layer.rock}' {what} at {where}; tops are given from "
+                "the base up and may not touch"
+            )
+    return None
 
 
 WAVELENGTHS = ("wavelength", "wavelength_y")
