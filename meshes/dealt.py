@@ -3,10 +3,11 @@
 from dataclasses import dataclass
 
 import numpy as np
-from dolfinx import mesh as dmesh
+from mpi4py import MPI
 
 from meshes.arrays import arrays_of, assembled, nothing
 from meshes.data import SectionMesh
+from meshes.noding import MeshingError
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,18 +31,19 @@ def dealt(section, comm):
     Args:
         section: `SectionMesh` of one rank, the same on all.
         comm: MPI communicator.
+
+    Raises:
+        MeshingError: a rank would have no cell; on all ranks.
     """
     arrays = arrays_of(section) if comm.rank == 0 else nothing(section.cell)
     shared = assembled(
         arrays, section.wall_tags, section.flat, comm, section.regions is not None, section.cell
     )
+    if comm.allreduce(shared.owned, op=MPI.MIN) == 0:
+        raise MeshingError(
+            f"{comm.size} ranks have too few cells, of {shared.cell_count}, to go round; take fewer"
+        )
     cells = np.asarray(shared.mesh.topology.original_cell_index)
     nodes = np.empty(len(shared.mesh.geometry.x), np.int64)
-    nodes[_geometry_nodes(shared.mesh)] = _geometry_nodes(section.mesh)[cells]
+    nodes[shared.corner_vertices] = section.corner_vertices[cells]
     return Dealt(shared, cells, nodes)
-
-
-def _geometry_nodes(mesh: dmesh.Mesh):
-    """Return the geometry nodes of every cell, shape (cells, nodes)."""
-    dofs = mesh.geometry.dofmap
-    return dofs.array.reshape(dofs.num_nodes, -1)

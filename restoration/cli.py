@@ -6,12 +6,13 @@ import os
 import signal
 import sys
 import traceback
+from contextlib import ExitStack, redirect_stderr, redirect_stdout
 from pathlib import Path
 
 from restoration import __version__
 from restoration.environment import check_environment, use_jit_cache, use_numba_cache
 from restoration.errors import CaseError, RestorationError
-from restoration.launch import end_together, rank_and_size, run_on_ranks
+from restoration.launch import begin_together, end_together, rank_and_size, run_on_ranks
 
 BUG = 1  # exit code of what should not happen
 MISSED = 1  # exit code where a benchmark misses a bound
@@ -23,13 +24,27 @@ def main(arguments=None):
 
     Of several ranks the first speaks for all.
     """
-    options = _parser().parse_args(arguments)
     rank, size = rank_and_size()
-    if rank > 0:
-        sys.stdout = open(os.devnull, "w")
+    with ExitStack() as streams:
+        if rank > 0:
+            nothing = streams.enter_context(open(os.devnull, "w"))
+            streams.enter_context(redirect_stdout(nothing))
+            with redirect_stderr(nothing):
+                options = _parser().parse_args(arguments)
+        else:
+            options = _parser().parse_args(arguments)
+        return _commanded(options, rank, size)
+
+
+def _commanded(options, rank, size):
+    """Run a command on one of several ranks, or alone, and return its exit code."""
     try:
-        for warning in check_environment() if rank == 0 else ():
-            print(f"warning: {warning}", file=sys.stderr)
+        if size > 1:
+            begin_together()
+            _only_runs(options)
+        for warning in check_environment():
+            if rank == 0:
+                print(f"warning: {warning}", file=sys.stderr)
         use_numba_cache()
         code = options.command(options)
         sys.stdout.flush()
@@ -39,13 +54,18 @@ def main(arguments=None):
     except Exception as error:
         if size == 1:
             raise
-        traceback.print_exc()
-        code, text = BUG, f"{type(error).__name__}: {error}"
+        code, text = BUG, "".join(traceback.format_exception(error))
     if text and rank == 0:
-        print(text, file=sys.stderr)
+        print(text, file=sys.stderr, flush=True)
     if size > 1:
-        end_together(code, text)
+        end_together(code, text if rank else None)
     return code
+
+
+def _only_runs(options):
+    """Refuse on several ranks what is made for one."""
+    if options.command not in (_run,):
+        raise CaseError("of several ranks there can only be a run; start this without a launcher")
 
 
 def _told(error):

@@ -463,6 +463,7 @@ def prove(follower, end, make_engine, march, check=None):
     scheme = OTHER.get(follower.scene.time.scheme, "rk4")
     proof = {"cells": None, "scheme": scheme} | summary(np.empty(0))
     proof |= {"horizons": None, "failure": None}
+    prover = None
     try:
         prover = Companion(follower, make_engine, march, FINER, check, scheme)
         proof["cells"] = list(prover.cells)
@@ -470,6 +471,8 @@ def prove(follower, end, make_engine, march, check=None):
     except TooLargeError:
         raise
     except (MeshError, SolveError) as error:
+        if prover is not None:
+            prover.release()
         return proof | {"failure": str(error), "wall_s": round(time.perf_counter() - begin, 3)}
     rows = matched(given.particles, reached.particles)
     off = reached.particles.x[rows] - given.particles.x

@@ -57,6 +57,12 @@ class EnvironmentFault(RestorationError):
     exit_code = 2
 
 
+class RankFault(RestorationError):
+    """One rank may have failed alone: nothing may be made of it but an end for all."""
+
+    exit_code = 3
+
+
 class SolveError(RestorationError):
     """A solver failed, or its answer cannot be trusted."""
 

@@ -76,7 +76,7 @@ def flowed_in(particles, name, outline, moved, spacing, ranks=ALONE):
     rows = max(1, round(length / spacing))
     width = length / rows
     middle = (np.arange(rows) + 0.5) * width
-    thickness = _thickness(name, outline, moved, middle)
+    thickness = ranks.same(_thickness(name, outline, moved, middle))
     if not (thickness > 0).any():
         return None
     if not ranks.any(len(particles.x)):

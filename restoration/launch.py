@@ -1,13 +1,15 @@
 """Ranks: how they are started, and how they end together. Loads no MPI."""
 
+import ctypes
 import os
 import shutil
 import signal
 import subprocess
 import sys
 import time
+from pathlib import Path
 
-from restoration.errors import CaseError, EnvironmentFault
+from restoration.errors import CaseError, EnvironmentFault, StoppedError
 
 # What launchers tell their processes: their number, and how many there are.
 LAUNCHERS = (
@@ -16,6 +18,8 @@ LAUNCHERS = (
     ("SLURM_PROCID", "SLURM_STEP_NUM_TASKS"),
 )
 MOST_RANKS = 10_000
+EVERY = 0.5  # s, between two looks at ranks
+PR_SET_PDEATHSIG = 1  # of Linux
 PATIENCE = 20.0  # s, that a rank which failed waits for the others to have failed too
 # One thread for every rank; what the user has set stays.
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS")
@@ -34,11 +38,22 @@ def cores():
     return len(os.sched_getaffinity(0))
 
 
+def begin_together():
+    """Prepare one of several ranks: one thread each unless told otherwise, and no end by SIGUSR1.
+
+    To be called before numba is loaded.
+    """
+    for name in THREADS:
+        os.environ.setdefault(name, "1")
+    signal.signal(signal.SIGUSR1, signal.SIG_IGN)  # a wish to stop, outside of a run: too late
+
+
 def run_on_ranks(count, arguments):
     """Run ``restore`` on several ranks of this machine, and return its exit code.
 
-    Ctrl-C and SIGTERM are handed on as SIGUSR1, which every rank takes as a wish to stop after the
-    step; the second Ctrl-C ends at once.
+    Ctrl-C, SIGTERM and SIGHUP are handed on as SIGUSR1, which every rank takes as a wish to stop
+    after the step, again and again until they have ended: a rank may not listen yet. The second
+    Ctrl-C or SIGTERM ends at once.
 
     Args:
         count: of ranks.
@@ -59,35 +74,91 @@ def run_on_ranks(count, arguments):
         print(
             f"warning: {count} ranks on {cores()} cores are slower than {cores()}", file=sys.stderr
         )
-    environment = dict.fromkeys(THREADS, "1") | os.environ
+    environment = dict(os.environ)
+    home = str(Path(__file__).parents[1])
+    environment["PYTHONPATH"] = os.pathsep.join([home, *filter(None, [os.getenv("PYTHONPATH")])])
     if os.getuid() == 0:  # in a container there may be nobody else; OpenMPI asks twice
         environment |= {"OMPI_ALLOW_RUN_AS_ROOT": "1", "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM": "1"}
     command = [mpirun, "--quiet", "--oversubscribe", "-n", str(count), sys.executable]
-    command += ["-m", "restoration.cli", *arguments]
-    with subprocess.Popen(command, env=environment, start_new_session=True) as ranks:
-        asked = []
+    # -P: what lies beside the case is no module of ours
+    command += ["-P", "-m", "restoration.cli", *arguments]
+    asked = []
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGUSR1):
+        signal.signal(number, lambda number, _frame: asked.append(number))
+    with subprocess.Popen(
+        command,
+        env=environment,
+        stdin=subprocess.DEVNULL,
+        start_new_session=True,
+        preexec_fn=_end_with_parent,
+    ) as ranks:
+        code = None
+        while code is None:
+            try:
+                code = ranks.wait(EVERY)
+            except subprocess.TimeoutExpired:
+                if asked:
+                    # mpirun ends its ranks on SIGTERM, at once
+                    ranks.send_signal(signal.SIGTERM if _at_once(asked) else signal.SIGUSR1)
+    return _code(code, asked)
 
-        def hand_on(number, _frame):
-            asked.append(number)
-            # mpirun ends its ranks on SIGTERM, at once
-            ranks.send_signal(signal.SIGUSR1 if asked.count(signal.SIGINT) < 2 else signal.SIGTERM)
 
-        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGUSR1):
-            signal.signal(number, hand_on)
-        code = ranks.wait()
-    return 130 if asked.count(signal.SIGINT) > 1 else code
+def _end_with_parent():
+    """Have this process, mpirun, ended where the one that started it dies."""
+    ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGTERM)
+
+
+def _at_once(asked):
+    """Return whether the signals that came are those of a user who does not want to wait."""
+    return max(asked.count(signal.SIGINT), asked.count(signal.SIGTERM)) > 1
+
+
+def _code(code, asked):
+    """Return the exit code of ranks that have ended, and tell of those that were ended."""
+    if code in (0, StoppedError.exit_code):
+        return code
+    if _at_once(asked):
+        print("stopped at once", file=sys.stderr)
+        return 130
+    ended_by = code - 128 if code > 128 else -code
+    if asked and ended_by == signal.SIGUSR1:  # before it listened
+        print("stopped on request before the first step", file=sys.stderr)
+        return StoppedError.exit_code
+    if 0 < ended_by < 64 and (code > 128 or code < 0):
+        print(
+            f"a rank was ended by signal {ended_by} (9: perhaps out of memory); the run folder "
+            "holds what was reached",
+            file=sys.stderr,
+        )
+    return code
+
+
+def as_many_as_told(size):
+    """Raise where MPI knows another number of ranks than the launcher has started.
+
+    Raises:
+        EnvironmentFault: the launcher is not that of this MPI.
+    """
+    told = rank_and_size()[1]
+    if told != size:
+        raise EnvironmentFault(
+            f"the launcher has started {told} processes, and MPI knows {size}: take the mpirun of "
+            "the MPI that dolfinx was built with, or srun --mpi=pmix"
+        )
 
 
 def end_together(code, error):
     """End all ranks where this one has failed, also those that wait for it.
 
-    Where all have failed of the same the first one tells. A rank that is alone with its error tells
-    it after a while, and ends the others.
+    Where all have failed of the same the first one has told. A rank that is alone with its error
+    tells it after a while, and ends the others.
 
     Args:
         code: exit code.
-        error: what to tell.
+        error: what to tell, None where it was told.
     """
+    if "mpi4py.MPI" not in sys.modules:  # no rank can wait for this one
+        return
     from mpi4py import MPI
 
     met, begin = MPI.COMM_WORLD.Ibarrier(), time.monotonic()
@@ -100,5 +171,6 @@ def end_together(code, error):
             return
     except MPI.Exception:  # the others are in the middle of something else
         pass
-    print(f"rank {MPI.COMM_WORLD.rank}: {error}", file=sys.stderr, flush=True)
+    if error:
+        print(f"rank {MPI.COMM_WORLD.rank}: {error}", file=sys.stderr, flush=True)
     MPI.COMM_WORLD.Abort(code)

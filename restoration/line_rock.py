@@ -130,7 +130,7 @@ class LineRock:
         count, part = connected_components(graph, directed=False)
         votes = _sums(part, own, count)
         told, of_part = np.count_nonzero(votes, axis=1)[part], votes.argmax(axis=1)[part]
-        if (told[self._ends] == 1).all():
+        if not self._ranks.any((told[self._ends] != 1).any()):
             return of_part
         by_particles = np.zeros((n, self._units))
         _told_by_particles(*particles, self._nodes, by_particles)

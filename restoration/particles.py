@@ -339,10 +339,10 @@ def nearest(x, points):
     return cKDTree(x).query(points)
 
 
-def joined(one, two):
-    """Return the particles of two clouds in one, in order."""
-    columns = ((getattr(one, n), getattr(two, n)) for n in Particles.__dataclass_fields__)
-    return Particles(*(None if a is None else np.concatenate([a, b]) for a, b in columns))
+def joined(*clouds):
+    """Return the particles of some clouds in one, in order."""
+    columns = ([getattr(cloud, n) for cloud in clouds] for n in Particles.__dataclass_fields__)
+    return Particles(*(None if parts[0] is None else np.concatenate(parts) for parts in columns))
 
 
 def subset(particles, rows):

@@ -73,7 +73,6 @@ class Recorder:
         folder: the run folder, made and empty.
         progress: `progress.Progress`, or None.
         engine: makes the engine of a scene.
-        ranks: `ranks.Ranks` of the run; None for all that the program was started on.
 
     Attributes:
         engine: the engine, after `begin`.
@@ -81,9 +80,9 @@ class Recorder:
         stopping: `Stopping` of the march.
     """
 
-    def __init__(self, job, folder, progress=None, engine=StokesEngine, ranks=None):
+    def __init__(self, job, folder, progress=None, engine=StokesEngine):
         self.job, self.scene, self.folder = job, job.scene, Path(folder)
-        self.ranks = ranks or world()
+        self.ranks = world()
         self.progress = progress if self.ranks.first else None
         self._make_engine = engine
         self.engine, self.stopping = None, Stopping(self.scene.time)
@@ -116,7 +115,7 @@ class Recorder:
     def begin(self):
         """Make the engine and open the files."""
         self.say(f"{self.scene.title}: run folder {self.folder}")
-        self.record |= {"commit": commit(), "versions": versions()}
+        self.record |= {"commit": self.ranks.alone(commit), "versions": versions()}
         engine = self.engine = self._make_engine(self.scene)
         scene = self.scene
         self.ranks.alone(self._open_series)
@@ -230,12 +229,17 @@ class Recorder:
                 self._frame(self.engine.with_flow(self._last))
         finally:
             self._end_record(code)
-            if self.ranks.first:
-                write_record(self.folder / "run.json", self.record)
-                if error is not None:
-                    self.say(f"{type(error).__name__}: {error}", aloud=False)
-                self._log.close()
+            if error is None:
+                self.ranks.alone(self._close, error)
+            elif self.ranks.first:  # the others may not have come here
+                self._close(error)
         return self.record
+
+    def _close(self, error):
+        write_record(self.folder / "run.json", self.record)
+        if error is not None:
+            self._write_log(f"{type(error).__name__}: {error}")
+        self._log.close()
 
     def reached(self):
         """Return how far the run came, in words."""
@@ -248,10 +252,7 @@ class Recorder:
 
     def say(self, line, aloud=True):
         """Write a line to the log and, aloud, to the user."""
-        if not self.ranks.first:
-            return
-        with disk_faults(self.folder / "log.txt"):
-            print(line, file=self._log, flush=True)
+        self.ranks.alone(self._write_log, line)
         if aloud and self.progress:
             self.progress.say(line)
 
@@ -266,11 +267,13 @@ class Recorder:
             f"{self.engine.counts.solves} solves  {100 * share:.0f} %  "
             f"about {wall * (1 - share) / share:.0f} s left"
         )
-        if self.ranks.first:
-            with disk_faults(self.folder / "log.txt"):
-                print(line, file=self._log)
+        self.ranks.alone(self._write_log, line)
         if self.progress:
             self.progress.update(line)
+
+    def _write_log(self, line):
+        with disk_faults(self.folder / "log.txt"):
+            print(line, file=self._log, flush=True)
 
     def _count(self, particles):
         """Note how many particles there are, of all ranks."""

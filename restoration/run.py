@@ -15,6 +15,7 @@ from math import ceil
 from pathlib import Path
 
 from restoration.errors import CaseError, OutputError, SolveError, StoppedError
+from restoration.launch import as_many_as_told
 from restoration.stopping import Stopping
 from restoration.units import show
 
@@ -264,6 +265,7 @@ def run_job(job, progress=None, stop=None):
     from restoration.ranks import world  # loads MPI: only a run needs it
 
     ranks = world()
+    as_many_as_told(ranks.size)
 
     def check(*_):
         if ranks.any(stop.wanted):
@@ -273,7 +275,7 @@ def run_job(job, progress=None, stop=None):
         ranks.alone(lambda: locks.enter_context(locked(job.folder)))
         folder = ranks.same(ranks.alone(prepare_folder, job))
         if folder is None:
-            if job.prove and not _proved(job.folder):
+            if job.prove and not ranks.same(ranks.alone(_proved, job.folder)):
                 raise CaseError(
                     f"{job.folder}: holds this very run, without a proof; --fresh --prove runs it "
                     "again with one"

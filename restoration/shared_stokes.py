@@ -13,6 +13,8 @@ from ufl.algorithms import extract_coefficients
 from ufl.core.expr import Expr
 
 from meshes.dealt import dealt
+from meshes.noding import MeshingError
+from restoration.errors import MeshError
 from restoration.spaces import Spaces, nodes
 from restoration.stokes import StokesProblem
 from restoration.surface import Ground
@@ -30,13 +32,19 @@ class SharedStokes:
         on_facets: as ``rho`` and ``eta``, or None.
         **options: further arguments of `StokesProblem` by name.
 
+    Raises:
+        MeshError: there are more ranks than cells.
+
     Attributes:
         leak: see `StokesProblem`.
     """
 
     def __init__(self, ranks, section, spaces, rho, eta, *others, top, on_facets, **options):
         self._ranks, self._whole = ranks, section
-        self._part = dealt(section, ranks.comm)
+        try:
+            self._part = dealt(section, ranks.comm)
+        except MeshingError as error:
+            raise MeshError(str(error)) from None
         self.spaces = spaces
         own = self._own = Spaces(self._part.section, spaces.pair.name, spaces.degree)
         self._mirrors = {}

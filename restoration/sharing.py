@@ -22,13 +22,12 @@ class Sharing:
 
     Attributes:
         load: particles of the rank that has most over the mean of all, after the last step.
-        moved: how many particles went to another rank so far.
     """
 
     def __init__(self, ranks):
         self._ranks = ranks
-        self._owner = self._numbers = None
-        self.load, self.moved = 1.0, 0
+        self._owner, self._next_number = None, 0
+        self.load = 1.0
 
     def dealt(self, particles, index):
         """Return those of a whole cloud that this rank has; of a cloud dealt out all of them.
@@ -39,7 +38,7 @@ class Sharing:
         """
         if not self._ranks.several or particles.number is not None:
             return particles
-        self._numbers = n = len(particles.x)
+        self._next_number = n = len(particles.x)
         self._deal(np.bincount(particles.cell[particles.inside], minlength=len(index.area)), index)
         whole = replace(particles, number=np.arange(n))
         return subset(whole, np.flatnonzero(self._rank_of(particles.cell, whole.number)))
@@ -55,8 +54,10 @@ class Sharing:
             return particles
         inside = particles.cell[particles.inside]
         counts = self._ranks.sum(np.bincount(inside, minlength=len(index.area)))
-        if len(counts) != len(self._owner) or self._load(counts) > MOST_LOAD:
+        if self._owner is None or len(counts) != len(self._owner):
             self._deal(counts, index)
+        elif self._load(counts) > MOST_LOAD:
+            self._deal_better(counts, index)
         self.load = self._load(counts)
         goes_to = np.where(particles.inside, self._owner[particles.cell], self._ranks.rank)
         leaves = np.flatnonzero(goes_to != self._ranks.rank)
@@ -64,12 +65,10 @@ class Sharing:
             subset(particles, leaves[goes_to[leaves] == rank]) for rank in range(self._ranks.size)
         ]
         arrived = [part for part in self._ranks.comm.alltoall(parcels) if len(part.x)]
-        self.moved += int(self._ranks.sum(np.array(len(leaves))))
         if not len(leaves) and not arrived:
             return particles
-        particles = subset(particles, np.flatnonzero(goes_to == self._ranks.rank))
-        for part in arrived:
-            particles = joined(particles, part)
+        stays = subset(particles, np.flatnonzero(goes_to == self._ranks.rank))
+        particles = joined(stays, *arrived)
         return subset(particles, np.argsort(particles.number, kind="stable"))
 
     def whole(self, particles):
@@ -90,8 +89,8 @@ class Sharing:
         """
         if particles.number is None:
             return joined(particles, born)
-        number = np.arange(self._numbers, self._numbers + len(born.x))
-        self._numbers += len(born.x)
+        number = np.arange(self._next_number, self._next_number + len(born.x))
+        self._next_number += len(born.x)
         return joined(particles, replace(born, number=number)) if self._ranks.first else particles
 
     def _rank_of(self, cell, number):
@@ -108,6 +107,13 @@ class Sharing:
         """Find the rank of every cell anew, for so many particles in each."""
         centres = index.corners.mean(axis=1)
         self._owner = bisected(centres, counts + 1e-3 * max(counts.mean(), 1.0), self._ranks.size)
+
+    def _deal_better(self, counts, index):
+        """Find the rank of every cell anew, and keep that where it is the better one."""
+        before, load = self._owner, self._load(counts)
+        self._deal(counts, index)
+        if self._load(counts) >= load:
+            self._owner = before
 
 
 def bisected(centres, weights, parts):

@@ -102,7 +102,7 @@ class Step:
             more = {"own": self._own, "most": ranks.most, "total": ranks.sum}
             more |= {"tolerance": tolerance} if tolerance else {}
         x = self.scheme.step(self.start, self.velocity, self.dt, **more)
-        if not self.scheme.embedded:
+        if not self.scheme.embedded or tolerance is None:
             return x, None
         weighted = zip(self.scheme.embedded, self._velocities, strict=True)
         off = self.dt * sum(weight * u for weight, u in weighted)

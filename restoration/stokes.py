@@ -21,7 +21,7 @@ from restoration.boundary import (
     wall_form,
     wall_load,
 )
-from restoration.errors import SolveError
+from restoration.errors import RankFault, SolveError, TooLargeError
 from restoration.solvers import (
     MANY_ITERATIONS,
     REUSE_RTOL,
@@ -36,6 +36,7 @@ RESIDUAL = 1e-8
 # its rows hold large forces that cancel. Such a solution is as exact as double precision holds one;
 # up to this residual the velocity was still right to a hundredth (`restore bench falling-block`).
 RESIDUAL_BY_ROUNDING = 1e-2
+OUT_OF_MEMORY = 55  # error of PETSc
 ROUNDINGS = 100  # in the sum of a row
 REMEMBERED = 3  # solutions through which a polynomial in time leads to the next
 FURTHEST = 1.5  # of the time between the first and the last of them, that it is followed
@@ -380,7 +381,7 @@ class StokesProblem:
             # At one time the rock moves by what the stages of a step differ in, and no further.
             self.solver.update(keep=self._follows or same_time(self._time, self._factor_time))
         except PETSc.Error as error:
-            raise SolveError(_refused(error)) from None
+            raise self._fault(error) from None
         self._assembled = True
 
     def _checked_solve(self):
@@ -429,13 +430,19 @@ class StokesProblem:
         try:
             self.solver.solve(b, x, guess, rtol)
         except PETSc.Error as error:
-            raise SolveError(_refused(error)) from None
+            raise self._fault(error) from None
         finally:
             self._seen = self.solver.factorisations, self.solver.iterations
             if self._seen[0] > before[0]:
                 self._factor_time = self._time
             self.counts.factorisations += self._seen[0] - before[0]
             self.counts.krylov_iterations += self._seen[1] - before[1]
+
+    def _fault(self, error):
+        """Return what to raise for an error of PETSc, which one rank may have met alone."""
+        kind = SolveError if self._comm.size == 1 else RankFault
+        kind = TooLargeError if kind is SolveError and error.ierr == OUT_OF_MEMORY else kind
+        return kind(_refused(error))
 
     def _residual(self):
         self.A.mult(self.x, self.r)
@@ -460,6 +467,8 @@ class StokesProblem:
 
 def _refused(error):
     """Return what to say where PETSc gives up with an error of its own."""
+    if error.ierr == OUT_OF_MEMORY:
+        return "PETSc is out of memory; lower mesh.cells"
     return (
         f"PETSc gave up with its error {error.ierr}; check solver.options, and the viscosities and "
         "walls if there are none"
