@@ -30,8 +30,8 @@ PREFIX = "stokes_"
 # What a factorisation may cost in solves with its factors, on 20 000 unknowns, and how that grows.
 # It takes the time of seven; from there to twice as many a run takes as long, and has half as many.
 FACTOR_COST, FACTOR_GROWTH = 14.0, 0.13
-REUSE_RTOL = 1e-11  # of a solution by old factors: its error over its size, about
-REUSE_RTOL_TIGHT = 1e-12  # where that leaves a residual
+REUSE_RTOL = 1e-12  # of a solution by old factors: its error over its size, about
+REUSE_RTOL_TIGHT = 1e-13  # where that leaves a residual
 MOST_REUSE_FAILURES = 4  # doublings of the solves until old factors are tried again
 
 DIRECT = {
