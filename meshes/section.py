@@ -16,6 +16,7 @@ from meshes.curves import SizeField, edges_along
 from meshes.noding import MeshingError, cleaned, joined_pieces, place
 
 SNAP = 1e-6  # of the height: what is nearer than this meets
+ROUNDED = 1e-8  # of the size of a section: what gmsh is not to see
 FLAT = 1e-9  # area per squared edges of a cell that is none
 GMSH = {
     "General.Terminal": 0,
@@ -96,7 +97,12 @@ def _arrays(surface, base, lines, sizes, snap):
 
 
 def _triangulated(nodes, edges, tags, sizes):
-    """Return the nodes, the given ones first, and the cells that gmsh makes between edges."""
+    """Return the nodes, the given ones first, and the cells that gmsh makes between edges.
+
+    gmsh makes other triangles where the last digit of a point is another: two runs of one section,
+    on one rank and on several, would part there as far as two meshes do. So it sees rounded nodes,
+    and they are put back where they are.
+    """
     import gmsh  # slow to load, and it takes the interrupt signal until finalize
 
     main = threading.current_thread() is threading.main_thread()
@@ -105,7 +111,10 @@ def _triangulated(nodes, edges, tags, sizes):
         gmsh.initialize([], False)
         if main:
             signal.signal(signal.SIGINT, handler)  # gmsh would let Ctrl-C end the process
-        return _meshed(gmsh, nodes, edges, tags, sizes)
+        digits = -int(np.floor(np.log10(ROUNDED * np.ptp(nodes, axis=0).max())))
+        x, cells = _meshed(gmsh, np.round(nodes, digits), edges, tags, sizes)
+        x[: len(nodes)] = nodes
+        return x, cells
     except MeshingError:
         raise
     except Exception as error:  # gmsh raises nothing narrower

@@ -20,7 +20,6 @@ from restoration.scene import Outline
 from restoration.seeding import graded
 from restoration.surface import heights_on, standing
 
-ROUNDED = 1e-8  # of the height: what is smaller is rounding, and no place
 ASIDE = 1e-4  # of the height: where the rocks on both sides of a line are asked for
 
 
@@ -123,8 +122,10 @@ class Mesher:
         try:
             pieces = mesh_lines(follow, bands, section_of(outline), near)
             follow, near = [points for points, _ in pieces], [size for _, size in pieces]
-            size, drawn = share * self.coarsest, rounded(outline, follow)
-            return fitted_mesh(*drawn, size, near, comm=self._comm, whole=True)
+            size = share * self.coarsest
+            return fitted_mesh(
+                outline.surface, outline.base, follow, size, near, comm=self._comm, whole=True
+            )
         except (MeshingError, ShapelyError) as error:
             raise MeshError(
                 f"no mesh follows the horizons any more: {error}; let particles carry the rock "
@@ -147,24 +148,6 @@ class Mesher:
         if not distances:
             return lambda x: np.full(len(x), np.inf)
         return lambda x: graded(np.min([far(x) for far in distances], axis=0).clip(0), self.finest)
-
-
-def rounded(outline, lines):
-    """Return surface, base and lines without the digits that are rounding.
-
-    gmsh makes other triangles where the last digit of a point is another: two runs of one section,
-    on one rank and on several, would part there as far as two meshes do.
-
-    Args:
-        outline: `scene.Outline`.
-        lines: points, each of shape (n, 2), m.
-    """
-    digits = -int(np.floor(np.log10(ROUNDED * outline.height)))
-    walls = [outline.surface.copy(), outline.base.copy()]
-    for wall in walls:
-        wall[:, 1] = np.round(wall[:, 1], digits)
-        wall[1:-1, 0] = np.round(wall[1:-1, 0], digits)  # the sides stay where they are
-    return *walls, [np.round(line, digits) for line in lines]
 
 
 def _between_rocks(scene, line):
