@@ -13,9 +13,11 @@ from pathlib import Path
 import numpy as np
 from performance import ROOT, SOLVING, WEAK, Walk, apart, head, main, peak_mb, row
 
+from restoration import grid
 from restoration.box_engine import BoxEngine
 from restoration.engine import StokesEngine
 from restoration.ranks import world
+from restoration.resolve import load
 
 KEPT = Path(__file__).with_suffix(".json")
 BOX = ROOT / "cases" / "diapir-3d" / "case.yaml"
@@ -43,7 +45,6 @@ def size_of(dim, cells, per_cell, steps):
     sets = [f"mesh.cells={cells}", f"particles.per_cell={per_cell}", "time.courant=0.5"]
     case, engine = (WEAK, StokesEngine) if dim == "2" else (BOX, BoxEngine)
     walk = Walk(case, *sets, *(BOX_SETS if dim == "3" else ()), engine=engine)
-    whole = peak_mb()
     before = walk.engine.counts.krylov_iterations, walk.engine.counts.solves
     wall, cpu, parts = walk.timed(int(steps))
     iterations, solves = walk.engine.counts.krylov_iterations, walk.engine.counts.solves
@@ -56,13 +57,31 @@ def size_of(dim, cells, per_cell, steps):
         "cpu": float(ranks.sum(np.array(cpu))),
         "peak_mb": float(ranks.most(np.array(peak_mb()))),
         "base_mb": base,
-        "whole_mb": whole - base,
         "iterations": (iterations - before[0]) / (solves - before[1]),
         "load": walk.engine.sharing.load,
         "parts": parts,
     }
     if ranks.first:
         print(json.dumps(found))
+
+
+def whole_of(dim, cells):
+    """Print what each rank holds whole, as JSON: mesh, spaces, fields, and few particles."""
+    base = peak_mb()
+    sets, case = [f"mesh.cells={cells}", "particles.per_cell=1"], WEAK
+    if dim == "3":
+        sets, case = [*sets, *BOX_SETS], BOX
+    grid.StokesProblem = NoStokes
+    engine = (StokesEngine if dim == "2" else BoxEngine)(load(case, sets).scene)
+    engine.start()
+    print(json.dumps({"mb": peak_mb() - base, "unknowns": engine.grid.spaces.unknowns}))
+
+
+class NoStokes:
+    """Stands where the Stokes problem would, and has no matrix."""
+
+    def __init__(self, *_, **__):
+        pass
 
 
 def on_ranks(ranks, threads, *arguments):
@@ -178,12 +197,15 @@ def ranks():
 
 def reckoned():
     """What 64 ranks would make of 1e8 unknowns, reckoned from the tables before: no measurement."""
-    kept = json.loads(KEPT.read_text())
+    kept, reaches = json.loads(KEPT.read_text()), []
     head("", "what grows", "power", f"at {LARGE:.0e} unknowns", f"for each of {RANKS} ranks")
-    for name, found in (("2-D, direct", kept["plane"]), ("3-D, field split", kept["box"])):
+    for name, found, whole in (
+        ("2-D, direct", kept["plane"], apart("whole_of", 2, 225)),
+        ("3-D, field split", kept["box"], apart("whole_of", 3, "[24, 24, 12]")),
+    ):
         last = found[-1]
         size = LARGE / last["unknowns"]
-        held = 1024 * last["whole_mb"] / last["unknowns"]
+        held = 1024 * whole["mb"] / whole["unknowns"]
         shared = 1024 * (last["peak_mb"] - last["base_mb"]) / last["unknowns"] - held
         power = _fitted(found, "cpu")
         cpu = last["cpu"] * size**power
@@ -199,11 +221,12 @@ def reckoned():
         row("", "matrix and factors or levels", "1", f"{shared:.1f} kB per unknown",
             f"{shared * LARGE / 2**20 / RANKS:.0f} GB, if shared evenly")  # fmt: skip
         reach = NODE * 2**20 / (held + shared / RANKS)
-        print(f"\n{name}: {RANKS} ranks of {NODE:.0f} GB reach {reach:.1e} unknowns\n")
+        reaches.append(f"{name}: {RANKS} ranks of {NODE:.0f} GB reach {reach:.1e} unknowns")
+    print("", *reaches, sep="\n")
 
 
 TABLES = {f.__name__: f for f in (unknowns, boxes, cloud, ranks, reckoned)}
 
 
 if __name__ == "__main__":
-    main(__doc__, TABLES, {"size_of": size_of})
+    main(__doc__, TABLES, {"size_of": size_of, "whole_of": whole_of})
