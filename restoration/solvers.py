@@ -252,7 +252,7 @@ class FieldsplitSolver:
     def __init__(self, A, blocks, options=None):
         self.A, self.blocks = A, blocks
         self.factorisations, self.iterations, self.vcycles = 0, 0, 0
-        self.residual, self.floor = np.inf, 0.0
+        self.residual, self.floor, self._changed = np.inf, 0.0, False
         coarse = COARSE_2D if blocks.linear.mesh.topology.dim == 2 else COARSE_3D
         self.ksp = _new_ksp(A.comm, PREFIX, FIELDSPLIT | coarse | (options or {}))
         self.ksp.setPCSide(PETSc.PC.Side.RIGHT)
@@ -268,11 +268,15 @@ class FieldsplitSolver:
         self.ru = self.zu = self.rp = self.zp = None
 
     def update(self, keep=False):
-        """Set up anew: the values of the matrix and of the viscosity have changed.
+        """Take the values of the matrix and of the viscosity: set up anew at the next solve.
 
         Args:
             keep: see `DirectSolver.update`; the blocks are set up in any case.
         """
+        self._changed = True
+
+    def _set_up(self):
+        self._changed = False
         self.blocks.assemble()
         u, p = self.blocks.velocity, self.blocks.pressure
         self.A_uu = _extract(self.A, u, u, self.A_uu)
@@ -329,6 +333,8 @@ class FieldsplitSolver:
         Raises:
             SolveError: PETSc reports a failure, or the residual stays too large.
         """
+        if self._changed:
+            self._set_up()
         r, diagonal = b.duplicate(), self.A.getDiagonal()
         scale = b.norm() or 1.0
         if not guess:
