@@ -56,20 +56,21 @@ def test_a_march_that_stops_by_itself_is_rehearsed_as_far():
     assert gone == pytest.approx(end.time, rel=0.1)
 
 
-def test_steps_and_time_are_those_of_the_run():
-    """The run goes through a rise that is 40 times as fast as its start.
+def test_steps_and_time_are_those_of_the_run(monkeypatch):
+    """Within a factor 1.5: the run goes through a rise that is 40 times as fast as its start.
 
-    `docs/performance.py forecasts` compares seconds; other tests beside this one spoil them.
+    Both are told in CPU seconds here, which other tests beside this one do not spoil.
     """
+    monkeypatch.setattr(time, "perf_counter", time.process_time)
     scene = load(DEMO, [*SMALL, "time.marks=[0 Myr, 6 Myr, 3 Myr]"]).scene
     told = forecast(scene)
     engine, steps = StokesEngine(scene), []
-    begin = time.perf_counter()
+    begin = time.process_time()
     march(engine.start(), engine, scene.time, (lambda *_: steps.append(1),))
-    took = time.perf_counter() - begin
+    took = time.process_time() - begin
     assert told.steps == pytest.approx(len(steps), rel=0.25)
     assert told.solves == pytest.approx(engine.counts.solves, rel=0.25)
-    assert took / 4 < told.steps * told.step_s < 4 * took
+    assert told.steps * told.step_s == pytest.approx(took, rel=0.5)
     assert told.presets["draft"] < told.presets["balanced"] < told.presets["fine"]
 
 
