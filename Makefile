@@ -7,6 +7,7 @@ help:
 	@echo "make demo   set up, run the demo case, say where the pictures are"
 	@echo "make test   set up, run all tests on all cores; choose with ARGS, such as ARGS='-m \"not slow\"'"
 	@echo "make setup  set up: Debian packages, .venv"
+	@echo "make torture  set up, the tests of reliability with all their kills, faults and attacks: a night"
 	@echo "make profile  set up, say where a diapir, a graben and a 3-D run spend their time"
 	@echo "make trade  set up, measure the fronts of docs/trade.md anew: half an hour; choose with ARGS"
 	@echo "make lint   set up, check the style"
@@ -20,6 +21,9 @@ demo: setup
 
 test: setup
 	$(PYTHON) -m pytest -n auto --dist worksteal $(ARGS)
+
+torture: setup
+	TORTURE=1 $(PYTHON) -m pytest -n auto --dist worksteal -m torture $(ARGS)
 
 profile: setup
 	$(PYTHON) docs/performance.py profile
@@ -35,4 +39,4 @@ clean:
 	rm -rf .venv build *.egg-info .pytest_cache .ruff_cache
 	find . -name __pycache__ -prune -exec rm -rf {} +
 
-.PHONY: help setup demo test profile trade lint clean
+.PHONY: help setup demo test torture profile trade lint clean
