@@ -28,6 +28,7 @@ ORDER = {
         "words",
         "units",
         "writing",
+        "checkpoint",
         "saved",
         "tree",
         "files",
