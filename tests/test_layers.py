@@ -103,6 +103,7 @@ ORDER = {
         "progress",
         "recorder",
         "box_recorder",
+        "keeper",
         "run",
         "forecast",
         "measured",
