@@ -18,7 +18,7 @@ from restoration.run import Job, run_job
 from restoration.saved import read_particles
 from tests.mpi_runs import AWAY, SCENES
 
-NAMES = "free surface", "fitted", "refined", "few particles"
+NAMES = "free surface", "fitted"
 
 
 def stopped_after(step):
