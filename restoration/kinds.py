@@ -5,7 +5,7 @@ from typing import Annotated
 from pydantic import BaseModel, ConfigDict, PlainValidator
 
 from restoration.units import Quantity, parse, show
-from restoration.words import hint, listed, quoted
+from restoration.words import hint, listed, quoted, wrong_name
 
 
 class Entry(BaseModel):
@@ -44,9 +44,11 @@ def words(*known):
 
 def read_name(value):
     """Return a name; numbers become text."""
-    if isinstance(value, bool) or not isinstance(value, (str, int)) or not str(value).strip():
+    if isinstance(value, bool) or not isinstance(value, (str, int)):
         raise ValueError(f"{quoted(value)} is not a name")
-    return str(value).strip()
+    if wrong := wrong_name(name := str(value).strip()):
+        raise ValueError(f"{quoted(value)} {wrong}")
+    return name
 
 
 def read_names(value):

@@ -1,9 +1,11 @@
 """A YAML text as plain values, with the line and column of every entry.
 
 The events of the parser are read directly: nothing is constructed, so tags, anchors and aliases
-have no effect before they are refused, and size and depth are bounded while reading.
+have no effect before they are refused. Lines are bounded before reading, entries and depth while
+reading. Numbers are decimal and finite; whatever else looks like one stays text.
 """
 
+import math
 import re
 from dataclasses import dataclass, field
 
@@ -15,12 +17,15 @@ from restoration.errors import CaseError, Fault
 from restoration.words import listed, quoted
 
 DEEPEST = 32
-MOST_NODES = 20_000
+MOST_NODES = 20_000  # which take 2 s
+MOST_LINES = 20_000
+LONGEST_LINE = 100_000  # characters
 MOST_FAULTS = 40
 INTEGER = re.compile(r"[-+]?(0|[1-9][0-9]{0,17})", re.ASCII)
 DECIMAL = re.compile(
-    r"[-+]?([0-9]{1,40}\.?[0-9]{0,40}|\.[0-9]{1,40})([eE][-+]?[0-9]{1,3})?", re.ASCII
+    r"[-+]?((0|[1-9][0-9]{0,39})(\.[0-9]{0,40})?|\.[0-9]{1,40})([eE][-+]?[0-9]{1,3})?", re.ASCII
 )
+DIRECTIVE = re.compile("^%", re.MULTILINE)
 CONSTANTS = {"": None, "~": None, "null": None, "true": True, "false": False}
 
 
@@ -87,14 +92,36 @@ def read_tree(text, file):
     """
     tree = Tree(file)
     builder = _Builder(tree)
+    _check_lines(text, file)
     try:
-        for event in YAML(typ="rt", pure=True).parse(text):
+        for event in YAML(typ="safe", pure=True).parse(text):
             builder.take(event)
     except YAMLError as error:
         raise CaseError([*tree.faults, _syntax_fault(error, file, text)]) from None
     except (ValueError, RecursionError, AttributeError, IndexError, OverflowError) as error:
-        raise CaseError([Fault(file, None, None, "", f"cannot be read as YAML: {error}")]) from None
+        reason = str(error)
+        if isinstance(error, OverflowError) or "chr()" in reason:
+            reason = "an escape such as \\U00110000 stands for no character"
+        raise CaseError(
+            [Fault(file, None, None, "", f"cannot be read as YAML: {reason}")]
+        ) from None
     return tree
+
+
+def _check_lines(text, file):
+    """Refuse what the parser would take long for: more or longer lines than a case has."""
+    if found := DIRECTIVE.search(text):
+        line = text.count("\n", 0, found.start()) + 1
+        message = "a case has no use for a directive, a line that begins with %: remove it"
+        raise CaseError([Fault(file, line, 1, "", message)])
+    lines = text.splitlines()
+    if len(lines) > MOST_LINES:
+        message = f"has {len(lines)} lines; at most {MOST_LINES} are read"
+        raise CaseError([Fault(file, MOST_LINES + 1, None, "", message)])
+    for number, line in enumerate(lines, 1):
+        if len(line) > LONGEST_LINE:
+            message = f"is a line of {len(line)} characters; at most {LONGEST_LINE} are read"
+            raise CaseError([Fault(file, number, None, "", message)])
 
 
 def override(tree, assignment):
@@ -281,7 +308,9 @@ def scalar(event):
         return CONSTANTS[text]
     if INTEGER.fullmatch(text):
         return int(text)
-    return float(text) if DECIMAL.fullmatch(text) else text
+    if DECIMAL.fullmatch(text) and math.isfinite(value := float(text)):
+        return value
+    return text
 
 
 # What the parser says, and what the user can do.

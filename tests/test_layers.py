@@ -24,8 +24,8 @@ ORDER = {
         "section",
     ],
     "restoration": [
-        "errors",
         "words",
+        "errors",
         "units",
         "writing",
         "saved",
