@@ -17,7 +17,7 @@ from pydantic import (
 )
 
 from restoration.fault_entries import FaultEntry
-from restoration.kinds import Entry, Length, Name, Size, quantity, read_names, words
+from restoration.kinds import Entry, FilePath, Length, Name, Size, quantity, read_names, words
 from restoration.units import UNITS, Quantity, parse, show
 from restoration.words import hint, listed, quoted, wrong_name
 
@@ -276,8 +276,8 @@ class Section(Entry):
 
     box: Box | None = None
     layers: list[Layer] | None = None
-    file: Name | None = None
-    particles: Name | None = None
+    file: FilePath | None = None
+    particles: FilePath | None = None
     property: Name = "unit"
     rock_property: Name | None = None
     coordinates: words("m", "km") = "m"

@@ -17,15 +17,15 @@ def printable(text):
     return UNWRITABLE.sub("?", str(text))
 
 
-def wrong_name(text):
+def wrong_name(text, longest=LONGEST_NAME):
     """Return why text cannot be the name of a thing, or None.
 
     Names go into messages, logs, tables and files that other programs read.
     """
     if not text.strip():
         return "is not a name"
-    if len(text) > LONGEST_NAME:
-        return f"is a name of {len(text)} characters; at most {LONGEST_NAME} are possible"
+    if len(text) > longest:
+        return f"is a name of {len(text)} characters; at most {longest} are possible"
     if odd := UNWRITABLE.search(text):
         return f"holds the character U+{ord(odd[0]):04X}, which no name may have"
     return None
