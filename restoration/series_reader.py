@@ -75,7 +75,10 @@ def _read(group, attributes):
 
 def _member(group, name, kinds=None):
     """Return a member of an HDF5 group: a group, or a dataset whose dtype is one of ``kinds``."""
-    if not isinstance(group.get(name, getlink=True), h5py.HardLink):
+    link = group.get(name, getlink=True)
+    if link is None:
+        raise ValueError(f"there is no {name}")
+    if not isinstance(link, h5py.HardLink):
         raise ValueError(f"{name} is a link")
     member = group[name]
     if not isinstance(member, h5py.Group if kinds is None else h5py.Dataset):

@@ -17,8 +17,8 @@ from restoration.errors import CaseError, Fault
 from restoration.words import listed, quoted
 
 DEEPEST = 32
-MOST_NODES = 20_000  # which take 2 s
-MOST_LINES = 20_000
+MOST_NODES = 10_000  # which take a second
+MOST_LINES = 10_000
 LONGEST_LINE = 100_000  # characters
 MOST_FAULTS = 40
 INTEGER = re.compile(r"[-+]?(0|[1-9][0-9]{0,17})", re.ASCII)
@@ -345,11 +345,11 @@ def _syntax_fault(error, file, text):
     return Fault(file, line, column, "", f"not YAML: {meaning}{since}")
 
 
-def shortened(faults):
-    """Return the first faults, and how many more there are."""
-    if len(faults) <= MOST_FAULTS:
+def shortened(faults, more=0):
+    """Return the first faults, and how many more there are, ``more`` of them not given."""
+    if len(faults) + more <= MOST_FAULTS:
         return faults
-    more = len(faults) - MOST_FAULTS
+    more += len(faults) - MOST_FAULTS
     return [*faults[:MOST_FAULTS], Fault(faults[0].file, None, None, "", f"and {more} more faults")]
 
 
