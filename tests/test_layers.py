@@ -31,6 +31,7 @@ ORDER = {
         "apart",
         "files",
         "series_reader",
+        "checkpoint",
         "saved",
         "tree",
         "kinds",
