@@ -1,5 +1,6 @@
 """Particles that a case brings along: a CSV table, or the particles of an earlier run."""
 
+import csv
 import re
 
 import numpy as np
@@ -86,7 +87,7 @@ def _row_faults(text, columns, shown):
     for number, line in enumerate(text[1:], start=2):
         if not line.strip():
             continue
-        fields = [field.strip().strip('"') for field in line.split(",")]
+        fields = [field.strip() for field in next(csv.reader([line]))]
         try:
             values = [fields[column] for column in columns]
             odd = {*values[0], *values[1]} - {*map(chr, DIGITS)}

@@ -55,6 +55,8 @@ def read_name(value, longest=LONGEST_NAME):
 
 def read_names(value):
     """Return a tuple of names from one or a list."""
+    if value == []:
+        raise ValueError("names nothing; write a name, or a list of names")
     return tuple(read_name(entry) for entry in (value if isinstance(value, list) else [value]))
 
 

@@ -324,6 +324,9 @@ SYNTAX = {
     "expected <block end>": "the indentation does not match the lines above",
     "expected ',' or '}'": "the bracket { is not closed, or a comma is missing",
     "expected ',' or ']'": "the bracket [ is not closed, or a comma is missing",
+    "expected the node content": "nothing where a value is needed, as between two commas",
+    "expected '<document start>'": "something goes on after the end; see the indentation, and the "
+    "brackets and quotes above",
     "unexpected end of stream": "a quote is not closed",
     "undefined alias": "an alias (*) of nothing; put text that begins with * in quotes",
     "special characters are not allowed": "a control character",
@@ -336,13 +339,22 @@ def _syntax_fault(error, file, text):
     problem = str(getattr(error, "problem", None) or getattr(error, "reason", None) or error)
     problem = " ".join(problem.split())
     meaning = next((meaning for sign, meaning in SYNTAX.items() if sign in problem), problem[:120])
-    line, column = (mark.line + 1, mark.column + 1) if mark else (None, None)
+    line, column = (mark.line + 1, mark.column + 1) if mark else _found_at(error, text)
     start = getattr(error, "context_mark", None)
     since = f" (begun in line {start.line + 1})" if start and start.line + 1 != line else ""
     begun = "" if start is None else text.splitlines()[start.line : start.line + 1]
     if "bracket" in meaning and " #" in "".join(begun):
         since += "; # begins a comment, so a colour needs quotes"
     return Fault(file, line, column, "", f"not YAML: {meaning}{since}")
+
+
+def _found_at(error, text):
+    """Return line and column of an error that knows a position only; two Nones without one."""
+    position = getattr(error, "position", None)
+    if not isinstance(position, int):
+        return None, None
+    before = text[:position]
+    return before.count("\n") + 1, position - before.rfind("\n")
 
 
 def shortened(faults, more=0):
