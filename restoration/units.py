@@ -64,7 +64,6 @@ SIGNS = str.maketrans(SIGNS)
 UNIT_SIGNS = {"·": "*", "⋅": "*", "²": "2", "³": "3", "⁻": "-", "¹": "1", "°": "deg"}
 UNIT_SIGNS |= {"\N{MASCULINE ORDINAL INDICATOR}": "deg", "\N{RING ABOVE}": "deg"}
 UNIT_SIGNS = str.maketrans(UNIT_SIGNS)
-POWERS = "²³¹⁻"
 NUMBER = re.compile(r"[+-]?(\d{1,40}\.?\d{0,40}|\.\d{1,40})([eE][+-]?\d{1,4})?", re.ASCII)
 LONGEST = 64  # characters of a quantity
 
@@ -100,8 +99,7 @@ def parse(text, kind):
     match = NUMBER.match(plain)
     if not match:
         raise ValueError(_no_number(text, plain, kind))
-    unit = plain[match.end() :].strip()
-    unit = unit if unit[:1] in POWERS else unit.translate(UNIT_SIGNS)
+    unit = plain[match.end() :].strip().translate(UNIT_SIGNS)
     if not unit:
         raise ValueError(f"{quoted(text)} has no unit; {advice(kind)}")
     value = float(Decimal(match.group()) * Decimal(_factor(text, unit, kind)))
@@ -168,7 +166,7 @@ def _plain(unit):
 
 def _factor(text, unit, kind):
     """Return the SI value of one unit, or raise ValueError naming the possible ones."""
-    if unit[0] in ",*^0123456789." + POWERS:
+    if unit[0] in ",*^0123456789.":
         raise ValueError(
             f"{quoted(text)} is not a plain number with a unit (the decimal sign is a point); "
             + advice(kind)

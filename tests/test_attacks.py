@@ -13,10 +13,11 @@ import h5py
 import numpy as np
 import pytest
 
-from restoration import cli, files, resolve, shapes
+from restoration import cli, files, resolve, shapes, words
 from restoration.environment import SETTINGS
 from restoration.errors import CaseError
 from restoration.resolve import load
+from restoration.starter import survey_text
 from restoration.words import UNWRITABLE
 from restoration.xdmf import ParticleSeries
 
@@ -240,6 +241,17 @@ def test_no_text_does_anything(case, tmp_path, text, message):
     assert sorted(tmp_path.rglob("*")) == sorted([*before, path])
 
 
+def test_names_are_compared_for_the_first_faults_only(case, monkeypatch):
+    """Each comparison takes a millisecond, and more than forty are not told."""
+    asked, compare = [], words.get_close_matches
+    monkeypatch.setattr(
+        words, "get_close_matches", lambda *a, **k: asked.append(a) or compare(*a, **k)
+    )
+    text = "".join(f"k{i}: 1\n" for i in range(1000))
+    assert refused(case(text + LAYERS + ROCKS)).endswith("and 960 more faults")
+    assert 40 <= len(asked) < 500
+
+
 # --- GeoJSON and tables ---------------------------------------------------------------------------
 
 ENTITIES = '<?xml version="1.0"?><!DOCTYPE a [<!ENTITY b SYSTEM "file:///etc/passwd">]><a>&b;</a>'
@@ -272,10 +284,22 @@ def test_no_section_does_anything(case, text, message):
     assert message in refused(path)
 
 
+def test_a_section_adds_no_lines_to_the_case_printed_for_it(tmp_path):
+    feature = json.dumps(square("sa\x1b[2Jlt\u2028time: {}", -1000, 0))
+    text = collection(json.loads(feature.replace('"unit"', '"unit\\nrocks: {}"')))
+    (tmp_path / "section.geojson").write_text(text)
+    told = survey_text(tmp_path / "section.geojson").split("\n")
+    assert not any(UNWRITABLE.search(line) for line in told)
+    assert [line for line in told if line.startswith(("rocks:", "time:"))] == [
+        "rocks:",
+        "time: {marks: [0 Ma, 1 Ma]} # from today back to 1 Ma",
+    ]
+
+
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("x,z,unit\n" + "1,-1,salt\n" * 1000 + "1,-1," + "x" * 10**6, "p.csv:1002: is a line of"),
+        ("x,z,unit\n" + "1,-1,salt\n" * 100 + "1,-1," + "x" * 10**6, "p.csv:102: is a line of"),
         ("x,z,unit\n1_0,-1,salt\n", "p.csv:2: '1_0,-1,salt' is not a finite x"),
         ("x,z,unit\n1e999,-1,salt\n", "p.csv:2: '1e999,-1,salt' is not a finite x"),
         ("x,z,unit\n\N{FULLWIDTH DIGIT ONE},-1,salt\n", "p.csv:2: "),
