@@ -14,6 +14,7 @@ from restoration.units import advice
 from restoration.words import hint, listed, nearest, quoted
 
 FITTED = ("fitted", "auto")  # of mesh.interfaces: with mesh lines that follow the rock
+MOST_TOLD = 100  # wrong entries for which the one meant is looked for
 SYNONYMS = {"top": "surface", "bottom": "base", "walls": "boundary", "colour": "color"}
 # Entries of a section that only a file has a use for.
 FILE_ENTRIES = ("property", "rock_property", "coordinates", "vertical", "tolerance")
@@ -37,16 +38,18 @@ def read_case(path, overrides=()):
     if not isinstance(tree.data, dict):
         message = f"holds {quoted(tree.data)} and not entries such as 'section:' and 'rocks:'"
         raise CaseError([*tree.faults, tree.fault((), message)])
-    faults, case = list(tree.faults), None
+    faults, case, more = list(tree.faults), None, 0
     try:
         case = Case.model_validate(tree.data)
     except ValidationError as error:
-        faults += _told(tree, error.errors())
+        errors = error.errors()
+        faults += _told(tree, errors[:MOST_TOLD])
+        more = max(0, len(errors) - MOST_TOLD)
     faults += _cross_faults(tree)
     if faults:
         placed = sorted(faults, key=lambda f: (f.line is None, f.line or 0, f.column or 0))
         placed = list(dict.fromkeys(placed))
-        raise CaseError(shortened(placed))
+        raise CaseError(shortened(placed, more))
     return case, text, tree
 
 

@@ -28,21 +28,33 @@ DEBIAN_MODULES = {
     "scipy": "python3-scipy",
 }
 VENV_MODULES = ("matplotlib", "numba", "pydantic", "ruamel", "shapely")
+# What libraries read from the working folder by themselves: settings that can start programs, load
+# libraries and write files. Nobody asks whether that is the folder of a stranger.
+SETTINGS = {
+    ".petscrc": "PETSc",
+    "petscrc": "PETSc",
+    ".numba_config.yaml": "Numba",
+    "matplotlibrc": "Matplotlib",
+    "dolfinx_jit_parameters.json": "DOLFINx",
+    "ffcx_parameters.json": "FFCx",
+}
 STALE = 60.0  # s, age of a half-built form that no living process can still be building
 
 
-def check_environment(path=None, system=SYSTEM_SITE, libraries=LIBRARIES):
+def check_environment(path=None, system=SYSTEM_SITE, libraries=LIBRARIES, here=Path()):
     """Return what slows the work or spoils pictures, one line each; loads no library.
 
     Args:
         path: folders that modules are imported from; None for ``sys.path``.
         system: folder of Debian's Python modules.
         libraries: folder of Debian's shared libraries.
+        here: the working folder.
 
     Raises:
-        EnvironmentFault: numpy is not the one dolfinx was built for, or a package is missing.
+        EnvironmentFault: numpy is not the one dolfinx was built for, a package is missing, or the
+            working folder holds settings that libraries would follow.
     """
-    faults = _missing_modules(path) + _wrong_numpy(path, system)
+    faults = _missing_modules(path) + _wrong_numpy(path, system) + _settings(here)
     if faults:
         raise EnvironmentFault("\n".join(faults))
     warnings = []
@@ -86,6 +98,15 @@ def _wrong_numpy(path, system):
     else:
         advice = "take that folder off PYTHONPATH, or set PYTHONNOUSERSITE=1"
     return [f"numpy {found} in {site} hides {built_for}, which dolfinx was built for; {advice}"]
+
+
+def _settings(here):
+    return [
+        f"the working folder holds {name}, and {library} would do what that says, to the starting "
+        "of programs; remove it, or work in another folder"
+        for name, library in SETTINGS.items()
+        if os.path.lexists(here / name)
+    ]
 
 
 def _numpy_version(site):

@@ -6,6 +6,8 @@ Everything else that escapes is a bug and keeps its traceback.
 
 from dataclasses import dataclass
 
+from restoration.words import printable
+
 
 class RestorationError(Exception):
     """Base of every error that is reported without a traceback."""
@@ -34,7 +36,9 @@ class Fault:
     def __str__(self):
         place = [self.file, self.line, self.column]
         parts = [":".join(str(part) for part in place if part is not None), self.entry]
-        return ": ".join([part for part in parts if part] + [" ".join(self.message.split())])
+        return printable(
+            ": ".join([part for part in parts if part] + [" ".join(self.message.split())])
+        )
 
 
 class CaseError(RestorationError):
