@@ -41,24 +41,34 @@ def read_case(path, overrides=()):
     try:
         case = Case.model_validate(tree.data)
     except ValidationError as error:
-        faults += _told(tree, error.errors())
+        faults += told(tree, error.errors())
     faults += _cross_faults(tree)
     if faults:
-        placed = sorted(faults, key=lambda f: (f.line is None, f.line or 0, f.column or 0))
-        placed = list(dict.fromkeys(placed))
-        raise CaseError(shortened(placed))
+        raise CaseError(in_order(faults))
     return case, text, tree
 
 
-def _told(tree, errors):
-    """Return a fault for every error; a misspelt name is not told as missing too."""
+def in_order(faults):
+    """Return faults by their place, each once, and not too many."""
+    placed = sorted(faults, key=lambda f: (f.line is None, f.line or 0, f.column or 0))
+    return shortened(list(dict.fromkeys(placed)))
+
+
+def told(tree, errors, root=Case):
+    """Return a fault for every error; a misspelt name is not told as missing too.
+
+    Args:
+        tree: `Tree` of the file.
+        errors: of pydantic.
+        root: the model of the whole file.
+    """
     meant = {
-        (*error["loc"][:-1], _meant(error["loc"][-1], _names_at(error["loc"][:-1])))
+        (*error["loc"][:-1], _meant(error["loc"][-1], _names_at(error["loc"][:-1], root)))
         for error in errors
         if error["type"] == "extra_forbidden"
     }
     return [
-        _fault(tree, error)
+        _fault(tree, error, root)
         for error in errors
         if error["type"] != "missing" or error["loc"] not in meant
     ]
@@ -70,12 +80,12 @@ def _meant(name, known):
     return nearest(name, known) or (synonym if synonym in known else None)
 
 
-def _fault(tree, found):
+def _fault(tree, found, root):
     """Return the fault behind one error of pydantic."""
     path = tuple(part for part in found["loc"] if part != "[key]")
     kind, context = found["type"], found.get("ctx", {})
     if kind == "extra_forbidden":
-        known = _names_at(path[:-1])
+        known = _names_at(path[:-1], root)
         meant = _meant(path[-1], known)
         near = f"; did you mean '{meant}'? (possible: {listed(known)})" if meant else ""
         near = near or hint(path[-1], known)
@@ -104,12 +114,12 @@ def _fault(tree, found):
     told = f"{value} {expected.get(kind, found['msg'])}"
     if found["input"] is None:
         told = "is empty; fill it in or remove it"
-    return tree.fault(path, f"{told}{_group_hint(path, kind)}")
+    return tree.fault(path, f"{told}{_group_hint(path, kind, root)}")
 
 
-def _model_at(path):
+def _model_at(path, root):
     """Return the model of the group at a path."""
-    model = Case
+    model = root
     for part in path:
         if isinstance(part, int) or model is None:
             continue
@@ -134,14 +144,14 @@ def _inner_model(annotation):
     return None
 
 
-def _names_at(path):
+def _names_at(path, root):
     """Return the names of the entries a group may have."""
-    model = _model_at(path)
+    model = _model_at(path, root)
     return list(model.model_fields) if isinstance(model, type) else []
 
 
-def _group_hint(path, kind):
-    names = _names_at(path) if kind in ("model_type", "dict_type") else []
+def _group_hint(path, kind, root):
+    names = _names_at(path, root) if kind in ("model_type", "dict_type") else []
     return f"; its entries are {listed(names, last='and')}" if names else ""
 
 

@@ -138,7 +138,7 @@ ORDER = {
         "choices",
         "questions",
         "worker",
-        "sweep",
+        "search",
         "report",
         "picture",
         "command",
