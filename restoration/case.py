@@ -160,6 +160,9 @@ def _missing(path):
         ("section",): "; give a box and layers, a file of polygons, or particles",
         ("rocks",): "; give every rock a density and a viscosity",
         ("time",): "; give marks, such as time: {marks: [0 Myr, 6 Myr, 0 Myr]}",
+        ("case",): "; name the case file that is varied, such as case: case.yaml",
+        ("latin", "samples"): "; give the number of runs, such as samples: 20",
+        ("latin", "ranges"): "; such as ranges: {rocks.salt.viscosity: log 1e17 .. 1e19 Pa s}",
         ("time", "marks"): "; such as [0 Myr, 6 Myr, 0 Myr], or ages [0 Ma, 2 Ma] to restore",
     }
     kind = dict.fromkeys(("width", "height", "depth", "amplitude", "wavelength"), "length")

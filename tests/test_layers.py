@@ -106,6 +106,7 @@ ORDER = {
         "forecast",
         "measured",
         "check",
+        "sweep",
         "bench",
         "trade",
         "cli",
@@ -133,6 +134,7 @@ ORDER = {
         "pictures",
         "suite",
     ],
+    "restoration/sweep": ["ranges", "file", "runs", "children", "table", "command"],
     "restoration/trade": [
         "trials",
         "choices",
