@@ -29,6 +29,7 @@ from restoration.units import NUMBER, to_si
 from tests.torture import tries
 
 ROOT = Path(__file__).parents[1]
+SHIPPED = sorted(ROOT.glob("cases/*/*.sweep.yaml"))
 CASE = """\
 title: Flat layers
 section:
@@ -160,6 +161,23 @@ def test_values_of_every_kind_reach_the_case(write):
     assert not run.faults
     assert "output.arrows=true" in run.sets
     assert 'title="yes"' in run.sets
+
+
+@pytest.mark.parametrize("path", SHIPPED, ids=lambda path: path.stem)
+def test_shipped_sweeps_are_sound(path):
+    runs, notes = planned(read_sweep(path))
+    assert len(runs) > 1
+    assert not notes
+    assert not any(run.faults for run in runs)
+    assert path.name in (path.parent / "README.md").read_text(encoding="utf-8")
+
+
+def test_the_sweeps_of_the_page_are_sound(write):
+    blocks = re.findall(r"```yaml\n(.*?)```", (ROOT / "docs/sweep.md").read_text(), re.S)
+    assert len(blocks) == 3
+    for block in blocks:
+        runs, _ = planned(read_sweep(write(block)))
+        assert not any(run.faults for run in runs)
 
 
 # what is wrong with a file
@@ -433,9 +451,10 @@ def test_a_wish_to_stop_ends_children_and_begins_none():
 def test_children_end_where_the_caller_does(error):
     begin = time.monotonic()
     commands = [["true"], ["sleep", "60"], ["sleep", "61"]]
-    with closing(ended(commands, workers=3)) as children, pytest.raises(error):
+    with closing(ended(commands, workers=3)) as children:
         assert next(children)[0] == ["true"]
-        children.throw(error("the table could not be written"))
+        with pytest.raises(error):
+            children.throw(error("the table could not be written"))
     assert time.monotonic() - begin < 10
     assert not children_of(os.getpid(), "sleep")
 
