@@ -19,7 +19,7 @@ import pytest
 from restoration.cli import main
 from restoration.errors import CaseError, OutputError
 from restoration.run import locked
-from restoration.sweep.children import error_line, run_children
+from restoration.sweep.children import Ended, error_line, run_children
 from restoration.sweep.command import PATIENCE, sweep
 from restoration.sweep.file import read_sweep
 from restoration.sweep.ranges import read_range
@@ -361,6 +361,19 @@ def test_a_changed_file_keeps_what_is_still_of_it(write, tmp_path):
     assert {row_of(run, tmp_path / "out").state for run in anew} == {"waiting"}
 
 
+def test_a_folder_of_another_case_is_not_done(write, tmp_path):
+    """Eight signs of a hash may agree by chance; all of it decides."""
+    (run, _), _ = planned(read_sweep(write(f"case: case.yaml\n{GRID}")))
+    folder = tmp_path / run.folder
+    folder.mkdir()
+    record = {"ended_well": True, "exit_code": 0, "case_sha256": run.sha256[:8] + 56 * "0"}
+    (folder / "run.json").write_text(json.dumps(record))
+    assert row_of(run, tmp_path).state == "failed"
+    row = row_of(run, tmp_path, Ended(0, "", 1.0))
+    assert (row.state, row.exit_code) == ("failed", 1)
+    assert "the case file has changed meanwhile" in row.error
+
+
 @pytest.mark.parametrize("content", ["", "[]", "{", '{"ended_well": 1}', "[" * 100_000, "\0"])
 def test_a_record_that_cannot_be_read_is_no_run(write, tmp_path, content):
     (run, _), _ = planned(read_sweep(write(f"case: case.yaml\n{GRID}")))
@@ -484,6 +497,7 @@ def restore(*arguments, cwd):
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
+        start_new_session=True,
     )
 
 
@@ -629,8 +643,9 @@ def test_children_end_with_the_sweep_and_keep_its_folder_until_then(write, tmp_p
         assert second.returncode == 2
         for child in children:
             os.kill(child, signal.SIGSTOP)  # busy, and not listening
-        process.kill()
+        os.killpg(process.pid, signal.SIGHUP)  # the terminal is closed
         process.communicate()
+        assert process.returncode == -signal.SIGHUP
         with pytest.raises(CaseError, match="another sweep is at work"), locked(out, "sweep"):
             pass
         for child in children:
@@ -641,5 +656,5 @@ def test_children_end_with_the_sweep_and_keep_its_folder_until_then(write, tmp_p
             os.kill(child, signal.SIGKILL)
     with locked(out, "sweep", PATIENCE):
         pass
-    for folder in out.glob("*/run.json"):
-        assert json.loads(folder.read_text())["exit_code"] == 75
+    codes = [json.loads(path.read_text())["exit_code"] for path in out.glob("*/run.json")]
+    assert codes == [75, 75]
