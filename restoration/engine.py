@@ -19,6 +19,7 @@ from restoration.advection import SCHEMES
 from restoration.bands import areas
 from restoration.diagnostics import relief
 from restoration.enclosed import kept
+from restoration.environment import give_memory_back
 from restoration.errors import MeshError, SolveError
 from restoration.free_surface import FreeSurface, with_area, without_cliffs
 from restoration.grid import Grid, units_of_regions
@@ -233,6 +234,7 @@ class StokesEngine:
         if self.grid is not None:
             self.grid.stokes.release()
         self.grid = self._grid_of(section, lines, regions)
+        give_memory_back()
         self.meshes += 1
         line = surface_of(lines)
         if regions is not None:

@@ -52,35 +52,36 @@ def read_text(path, shown, longest=MB):
     return text
 
 
-def inside(folder, name, allow_outside=False):
+def inside(folder, name, allow_outside=False, of="case"):
     """Return the path of a file that an input file of ``folder`` names.
 
     Args:
         folder: of the file that names it.
         name: relative path as written.
         allow_outside: whether it may lie elsewhere.
+        of: what the input file is, for messages.
 
     Raises:
         ValueError: it is an address, not a plain path, or leaves the folder.
     """
     if ADDRESS.search(name):
-        raise ValueError(f"'{name}' is not a file name; copy the file beside the case")
+        raise ValueError(f"'{name}' is not a file name; copy the file beside the {of}")
     if "\\" in name:
         raise ValueError(f"'{name}' has backslashes; write {name.replace(chr(92), '/')}")
     folder = Path(folder)
     if allow_outside:
         return folder / name
-    way_out = "copy it into the folder of the case, or allow it with --allow-outside"
+    way_out = f"copy it into the folder of the {of}, or allow it with --allow-outside"
     if Path(name).is_absolute():
         raise ValueError(f"'{name}' is an absolute path; {way_out}")
     if ".." in Path(name).parts:
-        raise ValueError(f"'{name}' leaves the folder of the case; {way_out}")
+        raise ValueError(f"'{name}' leaves the folder of the {of}; {way_out}")
     try:
         resolved = (folder / name).resolve()
     except (OSError, RuntimeError):
         raise ValueError(f"'{name}' is a link that leads nowhere") from None
     if not resolved.is_relative_to(folder.resolve()):
-        raise ValueError(f"'{name}' is a link out of the folder of the case; {way_out}")
+        raise ValueError(f"'{name}' is a link out of the folder of the {of}; {way_out}")
     return folder / name
 
 
