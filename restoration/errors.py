@@ -91,6 +91,10 @@ class OutputError(RestorationError):
     exit_code = 5
 
 
+class CheckpointError(OutputError):
+    """A checkpoint cannot be read, or is of another run."""
+
+
 class StoppedError(RestorationError):
     """The run was stopped on request."""
 

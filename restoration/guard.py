@@ -15,11 +15,14 @@ class Guard:
     Args:
         scene: `scene.Scene`.
         cell: side of the squares that become cells, m.
+
+    Attributes:
+        areas: of every rock on the last mesh, m^2; None before the first.
     """
 
     def __init__(self, scene, cell):
         self.scene, self._thinnest = scene, WELD * cell
-        self._areas = None
+        self.areas = None
 
     def look(self, grid):
         """Raise where lines no longer part the rocks, or a weld is better left to particles.
@@ -33,7 +36,7 @@ class Guard:
         """
         rock = np.array([unit.rock for unit in self.scene.units])[grid.fields.unit]
         areas = np.bincount(rock, grid.index.area, len(self.scene.rocks))
-        jump = np.abs(areas - (areas if self._areas is None else self._areas))
+        jump = np.abs(areas - (areas if self.areas is None else self.areas))
         if jump.max() > ROCK_JUMP * areas.sum():
             name = self.scene.rocks[jump.argmax()].name
             raise MeshError(
@@ -41,7 +44,7 @@ class Guard:
                 "longer parts the rocks; let particles carry them (mesh.interfaces: auto does so "
                 "by itself)"
             )
-        self._areas = areas
+        self.areas = areas
         if self.scene.mesh.interfaces == "auto":
             self._refuse_welds(grid)
 

@@ -14,7 +14,9 @@ from dataclasses import dataclass
 from math import ceil
 from pathlib import Path
 
+from restoration.checkpoint import Checkpoints
 from restoration.errors import CaseError, OutputError, SolveError, StoppedError
+from restoration.keeper import Keeper, newest
 from restoration.launch import as_many_as_told
 from restoration.stopping import Stopping
 from restoration.units import show
@@ -41,28 +43,35 @@ def next_time(t, mark, stable):
     return mark if n <= 1 else t + (mark - t) / n
 
 
-def march(state, engine, plan, every_step=(), at_marks=(), stopping=None):
+def march(state, engine, plan, every_step=(), at_marks=(), stopping=None, at_rest=(), passed=None):
     """March through the model times of a plan; decreasing marks restore.
 
     Args:
-        state: `State` at the first mark.
+        state: `State` at the first mark, or where ``passed`` says.
         engine: offers ``with_flow(state)``, ``stable_step(state, mark)`` and
             ``advance(state, until)``.
         plan: `scene.TimePlan`.
         every_step: functions of the state before and after a step.
         at_marks: functions of the number of the mark and the state there, from the first mark on.
         stopping: `stopping.Stopping` that may end the march; where it does is its last mark.
+        at_rest: functions of the number of the last mark passed and the state, when all else of a
+            step, or of the mark it has led to, is done: the march can go on from there.
+        passed: number of the last mark that a march which goes on from there had passed; None where
+            it begins.
 
     Returns:
         The state at the last mark.
     """
     stopping = stopping or Stopping()
-    state = engine.with_flow(state)
-    stopping.begin(state)
-    for task in at_marks:
-        task(0, state)
-    for number, mark in enumerate(plan.marks[1:], start=1):
-        longest = abs(mark - state.time) / plan.min_steps
+    if passed is None:
+        passed, state = 0, engine.with_flow(state)
+        stopping.begin(state)
+        for task in (*at_marks, *at_rest):
+            task(0, state)
+    for number, mark in enumerate(plan.marks[passed + 1 :], start=passed + 1):
+        if stopping.over:
+            break
+        longest = abs(mark - plan.marks[number - 1]) / plan.min_steps
         while state.time != mark and not stopping.over:
             before = state
             until = next_time(state.time, mark, min(engine.stable_step(state, mark), longest))
@@ -70,10 +79,11 @@ def march(state, engine, plan, every_step=(), at_marks=(), stopping=None):
             state = stopping.landed(engine, before, state)
             for task in every_step:
                 task(before, state)
-        for task in at_marks:
+            if state.time != mark and not stopping.over:
+                for task in at_rest:
+                    task(number - 1, state)
+        for task in (*at_marks, *at_rest):
             task(number, state)
-        if stopping.over:
-            break
     return state
 
 
@@ -89,6 +99,8 @@ class Job:
         out: run folder; None for ``runs/<case>-<hash8>`` in the working folder.
         fresh: whether an earlier run in the folder is thrown away.
         prove: whether the restored section is moved forward again; no part of the case.
+        checkpoint: steps between two checkpoints, ``auto``, or None for none.
+        walltime: after which the run is to have ended, s; None for no matter.
     """
 
     path: Path
@@ -98,6 +110,8 @@ class Job:
     out: Path | None = None
     fresh: bool = False
     prove: bool = False
+    checkpoint: int | str | None = "auto"
+    walltime: float | None = None
 
     @property
     def sha256(self):
@@ -114,7 +128,7 @@ class Job:
 
 
 def prepare_folder(job):
-    """Make the run folder, or clear it of an earlier run of this tool.
+    """Make the run folder, or clear it of an earlier run of this tool that is not gone on with.
 
     Returns:
         The folder; None where a run of this very case has ended well in it already.
@@ -137,14 +151,20 @@ def prepare_folder(job):
                     )
             elif not job.fresh:
                 return None
-            _clear(folder)
-        for name in ("", "figures", "horizons"):
-            (folder / name).mkdir(parents=True, exist_ok=True)
-        (folder / "case.yaml").write_text(job.case_text, encoding="utf-8")
-        (folder / "resolved.yaml").write_text(job.resolved, encoding="utf-8")
+            if job.fresh or not any(folder.glob("checkpoints/step-*.h5")):
+                clear(folder)
+        _lay_out(job)
     except OSError as error:
         raise OutputError(f"{folder}: {error.strerror}; give another --out") from error
     return folder
+
+
+def _lay_out(job):
+    """Make the folders of a run, and write the case."""
+    for name in ("", "figures", "horizons"):
+        (job.folder / name).mkdir(parents=True, exist_ok=True)
+    (job.folder / "case.yaml").write_text(job.case_text, encoding="utf-8")
+    (job.folder / "resolved.yaml").write_text(job.resolved, encoding="utf-8")
 
 
 # What a run leaves in its folder.
@@ -167,6 +187,9 @@ RUN_FILES = (
     "certificate.md",
     "figures/flatness.png",
     "horizons/[0-9]*-*.geojson",
+    "checkpoints/step-*.h5",
+    "checkpoints/kept-*.h5",
+    "checkpoints/latest.json",
 )
 
 
@@ -186,7 +209,7 @@ def _proved(folder):
     return bool(json.loads((folder / "run.json").read_text()).get("proof"))
 
 
-def _clear(folder):
+def clear(folder):
     """Remove what a run leaves, and nothing else."""
     for pattern in RUN_FILES:
         for path in folder.glob(pattern):
@@ -236,15 +259,24 @@ class StopRequest:
         self.wanted = True
 
 
-def _recorder(job, folder, progress):
+def _recorder(job, folder, progress, memory):
     """Return what writes the run folder; it loads dolfinx, which only a run needs."""
     if job.scene.dim == 3:
         from restoration.box_recorder import BoxRecorder
 
-        return BoxRecorder(job, folder, progress)
+        return BoxRecorder(job, folder, progress, memory)
     from restoration.recorder import Recorder
 
-    return Recorder(job, folder, progress)
+    return Recorder(job, folder, progress, memory)
+
+
+def _went_before(job, checkpoints):
+    """Return the memory that a job goes on from, or None, and notes on it."""
+    memory, notes = newest(checkpoints, job)
+    if memory is None:
+        clear(job.folder)
+        _lay_out(job)
+    return memory, notes
 
 
 def run_job(job, progress=None, stop=None):
@@ -282,26 +314,41 @@ def run_job(job, progress=None, stop=None):
                 )
             return None, job.folder
         check()
-        recorder = _recorder(job, folder, progress)
+        checkpoints = Checkpoints(folder / "checkpoints")
+        memory, notes = ranks.same(ranks.alone(_went_before, job, checkpoints))
+        recorder = _recorder(job, folder, progress, memory)
+        kept = checkpoints if job.checkpoint else None
+        keeper = Keeper(recorder, kept, job.checkpoint, job.walltime, lambda: stop.wanted)
         try:
+            for note in notes:
+                recorder.say(note)
             recorder.begin()
             check()
             march(
-                recorder.engine.start(),
+                recorder.start(),
                 recorder.engine,
                 job.scene.time,
-                every_step=(recorder.step, check),
-                at_marks=(recorder.mark, check),
+                every_step=(recorder.step,),
+                at_marks=(recorder.mark,),
                 stopping=recorder.stopping,
+                at_rest=(keeper,),
+                passed=memory and memory["passed"],
             )
             recorder.compare()
-            recorder.certify(march, check)
+            recorder.certify(march, keeper.check)
             if job.prove:
-                recorder.prove(march, check)
+                recorder.prove(march, keeper.check)
         except StoppedError as stopped:
             recorder.end(stopped)
-            raise StoppedError(f"stopped on request {recorder.reached()}; see {folder}") from None
+            raise StoppedError(f"stopped on request {recorder.reached()}; {_later(kept)}") from None
         except BaseException as error:
             recorder.end(error)
             raise
-        return recorder.end(), folder
+        record = recorder.end()
+        ranks.alone(checkpoints.clear)
+        return record, folder
+
+
+def _later(checkpoints):
+    """Return what becomes of a run that was stopped."""
+    return "the same command goes on from here" if checkpoints else "it begins anew"

@@ -33,6 +33,19 @@ FACTOR_COST, FACTOR_GROWTH = 14.0, 0.13
 REUSE_RTOL = 1e-12  # of a solution by old factors: its error over its size, about
 REUSE_RTOL_TIGHT = 1e-13  # where that leaves a residual
 MOST_REUSE_FAILURES = 4  # doublings of the solves until old factors are tried again
+REMEMBERED = (
+    "factorisations",
+    "iterations",
+    "vcycles",
+    "_workspace",
+    "_changed",
+    "_stale",
+    "_spent",
+    "_solves",
+    "_last",
+    "_failures",
+    "_waits",
+)
 
 DIRECT = {
     "ksp_type": "preonly",
@@ -106,6 +119,7 @@ class DirectSolver:
 
     Attributes:
         factorisations, iterations, vcycles: so far; a direct solve is one iteration.
+        analyses: so far, of the structure of the matrix, which look at its values too.
     """
 
     def __init__(self, A, options=None, symmetric=True):
@@ -120,6 +134,7 @@ class DirectSolver:
         self._spent, self._solves, self._last = 0.0, 1, 0.0  # in solves, since factorised
         self._failures, self._waits = 0, 0
         self.ksp = self._krylov = None
+        self.analyses = 0
 
     def update(self, keep=False):
         """Take the matrix as it is now: factorise it at the next solve; the analysis is kept.
@@ -222,6 +237,26 @@ class DirectSolver:
                 "check that the walls hold the section and the range of viscosities"
             )
 
+    def memory(self):
+        """Return what decides how the next solves are made, beside the factors; see `recall`."""
+        return {name: getattr(self, name) for name in REMEMBERED}
+
+    def recall(self, memory):
+        """Go on as the solver did that `memory` was asked of, once the factors are those it had."""
+        for name in REMEMBERED:
+            setattr(self, name, memory[name])
+
+    def prepare(self):
+        """Factorise the matrix as it is now."""
+        self.update()
+        self.ksp.setUp()
+        self._changed = self._stale = False
+
+    def analysed_anew(self, workspace):
+        """Let the next matrix be analysed too, for a workspace that was found before."""
+        self._workspace, self._changed = workspace, True
+        self._make()
+
     def release(self):
         """Give the memory of the factors back."""
         for ksp in (self.ksp, self._krylov):
@@ -231,6 +266,7 @@ class DirectSolver:
 
     def _make(self):
         self.release()
+        self.analyses += 1
         self.A.setOption(PETSc.Mat.Option.SYMMETRIC, self.symmetric)
         options = {"mat_mumps_icntl_14": WORKSPACE[self._workspace]} | self.options
         self.ksp = _new_ksp(self.A.comm, PREFIX, options)
@@ -326,6 +362,23 @@ class FieldsplitSolver:
         pc.getMGSmoother(1).setOperators(self.A_uu)
 
     stale = False  # its blocks are always those of the matrix, and its tolerance that of PETSc
+    analyses = 0
+
+    def memory(self):
+        """Return what it has done so far; see `DirectSolver.memory`."""
+        return {name: getattr(self, name) for name in ("factorisations", "iterations", "vcycles")}
+
+    def recall(self, memory):
+        """Go on with these; see `DirectSolver.recall`."""
+        for name, value in memory.items():
+            setattr(self, name, value)
+
+    def prepare(self):
+        """Set up for the matrix as it is now."""
+        self._set_up()
+
+    def analysed_anew(self, workspace):
+        """Do nothing: there is nothing that the next matrix does not tell."""
 
     def solve(self, b, x, guess=False, rtol=None):
         """Solve in place.
