@@ -133,14 +133,16 @@ class StokesEngine:
             self.mesher = self.make_mesher(scene, self.ranks)
             self.cell_size = self.mesher.finest
             lines = self._first_lines()
+            self._guard = Guard(scene, self.mesher.coarsest)
             try:
                 section, points = self.mesher.mesh(lines)
+                self._take(section, lines, self._units(points))
+                if self.fitted:
+                    self._guard.begin(self.grid)
             except MeshError as error:
                 self._leave_to_particles(scene.time.marks[0], error)
-                section, points = self.mesher.mesh(lines)
-            self._take(section, lines, self._units(points))
+                self._take(self.mesher.mesh(lines)[0], lines)
         self.start_area = self.grid.section.area
-        self._guard = Guard(scene, self.mesher.coarsest)
         self._steps, self._last_flow = 0, None
         self.rejected, self._next = 0, np.inf  # steps; the next one by the error of the last, s
         self.born = 0
