@@ -140,6 +140,7 @@ class StokesEngine:
             "factorisations": counts.factorisations,
             "krylov_iterations": counts.krylov_iterations,
             "refinements": counts.refinements,
+            "solves_rescued": counts.rescued,
             "worst_residual": counts.worst_residual,
             "meshes": self.meshes,
             "interfaces_used": "fitted" if self.fitted else "particles",

@@ -24,7 +24,8 @@ ORDERING = {0: 0, 50_000: 4}
 # Growth of the workspace over MUMPS's own forecast, per cent; the next is tried when it overflows.
 WORKSPACE = (100, 300, 900)
 SMALL_WORKSPACE = (-8, -9)
-OUT_OF_MEMORY = -13
+OUT_OF_MEMORY = (-5, -7, -13)
+SINGULAR = (-6, -10)
 PREFIX = "stokes_"
 
 # What a factorisation may cost in solves with its factors, on 20 000 unknowns, and how that grows.
@@ -38,6 +39,15 @@ DIRECT = {
     "ksp_type": "preonly",
     "pc_type": "cholesky",
     "pc_factor_mat_solver_type": "mumps",
+}
+# What a factorisation is made with that has failed before: pivots are chosen freely among rows and
+# columns scaled iteratively. Null pivots stay a failure: a matrix that has some does not tell where
+# the section goes, whatever the residual.
+CAREFUL = {
+    "pc_type": "lu",
+    "mat_mumps_icntl_8": 8,
+    "mat_mumps_cntl_1": 0.1,
+    "mat_mumps_icntl_14": WORKSPACE[-1],
 }
 FIELDSPLIT = {
     "ksp_type": "fgmres",
@@ -136,10 +146,21 @@ class DirectSolver:
         self.ksp.setOperators(self.A)
         self._changed, self._stale = True, False
 
+    def rescale(self):
+        """Let the matrix be factorised as `CAREFUL` has it, from the next solve on."""
+        self.options |= CAREFUL
+        self._make()
+        self._changed, self._stale = True, False
+
     @property
     def stale(self):
         """Whether the last solve was by factors of another matrix."""
         return self._stale
+
+    @property
+    def singular(self):
+        """Whether the last factorisation has found that the matrix is singular."""
+        return self.ksp is not None and _infog(self.ksp) in SINGULAR
 
     def solve(self, b, x, guess=False, rtol=REUSE_RTOL):
         """Solve in place.
@@ -206,17 +227,20 @@ class DirectSolver:
             self._make()
             self._changed = True
         self.iterations += 1
-        if infog == OUT_OF_MEMORY:
+        if infog in OUT_OF_MEMORY:
             raise TooLargeError(
-                "the factorisation does not fit into memory (MUMPS INFOG(1) = -13); "
+                f"the factorisation does not fit into memory (MUMPS INFOG(1) = {infog}); "
                 "lower mesh.cells"
             )
         reason = self.ksp.getConvergedReason()
         if reason <= 0 or infog != 0:
-            raise SolveError(
-                f"the Stokes solve failed: PETSc reason {reason}, MUMPS INFOG(1) = {infog}; "
-                "check that the walls hold the section and the range of viscosities"
-            )
+            advice = "check that the walls hold the section and the range of viscosities"
+            if infog in SMALL_WORKSPACE:
+                advice = (
+                    f"even {WORKSPACE[-1]} % more workspace than forecast is too little: set "
+                    "mat_mumps_icntl_14 in solver.options higher, or lower mesh.cells"
+                )
+            raise SolveError(f"PETSc reason {reason}, MUMPS INFOG(1) = {infog}; {advice}")
 
     def release(self):
         """Give the memory of the factors back."""
@@ -275,6 +299,12 @@ class FieldsplitSolver:
         """
         self._changed = True
 
+    def refactor(self):
+        """Let the blocks be set up anew at the next solve."""
+        self._changed = True
+
+    rescale = refactor  # its blocks have no pivots to choose
+
     def _set_up(self):
         self._changed = False
         self.blocks.assemble()
@@ -320,6 +350,7 @@ class FieldsplitSolver:
         pc.getMGSmoother(1).setOperators(self.A_uu)
 
     stale = False  # its blocks are always those of the matrix, and its tolerance that of PETSc
+    singular = False
 
     def solve(self, b, x, guess=False, rtol=None):
         """Solve in place.
@@ -353,8 +384,8 @@ class FieldsplitSolver:
         diagonal.destroy()
         if (why := self.failure()) is not None:
             raise SolveError(
-                f"the iterative Stokes solve failed: {why}; the viscosity may be too rough for "
-                "it: take solver: {name: direct}"
+                f"{why}; the viscosity may be too rough for the iterative solver: take solver: "
+                "{name: direct}"
             )
 
     def failure(self):

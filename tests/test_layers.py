@@ -69,6 +69,7 @@ ORDER = {
         "sampling",
         "conservative",
         "boundary",
+        "acceptance",
         "assembly",
         "blocks",
         "solvers",
