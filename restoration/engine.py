@@ -18,7 +18,7 @@ from restoration.enclosed import kept
 from restoration.errors import MeshError, SolveError
 from restoration.free_surface import FreeSurface, with_area, without_cliffs
 from restoration.grid import Grid
-from restoration.guard import Guard
+from restoration.guards import FittedGuard, StepGuards, look_at_fields
 from restoration.inflow import cast_off, flowed_in, with_ends
 from restoration.lines import begin, most_vertices, refined, surface_of, with_points
 from restoration.mesher import Mesher
@@ -111,7 +111,8 @@ class StokesEngine:
                 section, points = self.mesher.mesh(lines)
             self._take(section, lines, None if points is None else (None, points, {}))
         self.start_area = self.grid.section.area
-        self._guard = Guard(scene, self.mesher.coarsest)
+        self._guard = FittedGuard(scene, self.mesher.coarsest)
+        self._guards = StepGuards(scene, self.ranks, not self.open)
         self._steps, self._last_flow = 0, None
         self.rejected, self._next = 0, np.inf  # steps; the next one by the error of the last, s
         self.born = 0
@@ -184,9 +185,15 @@ class StokesEngine:
         particles = self._settled(self.sharing.dealt(relocate(seed(self.scene), index), index))
         return State(self.scene.time.marks[0], particles, self._first_lines(), grid=self.grid)
 
+    def guard(self, state):
+        """Raise where a state with its flow cannot be gone on from, see `StepGuards.look`."""
+        crossed = sum(self.entered.values()) - sum(self.left.values())
+        self._guards.look(state, self.born + crossed)
+
     def taken_over(self, state):
         """Return the state of another engine, on another mesh, as one of this."""
         index = self.grid.index
+        self._guards.begin()
         particles = relocate(self._nowhere(state.particles), index)
         return State(state.time, self.sharing.dealt(particles, index), state.lines)
 
@@ -313,12 +320,18 @@ class StokesEngine:
 
         Or less far, where a whole step would be off by more than is tolerated.
         """
+        crossed = self._crossed()
         try:
             return self._advanced(state, until)
         except MeshError as error:
             if not self.fitted:
                 raise
+            self.left, self.entered, self.born = crossed
             return self._advanced(self.with_flow(self._left_to_particles(state, error)), until)
+
+    def _crossed(self):
+        """Return how many particles have left, have entered and were born so far."""
+        return dict(self.left), dict(self.entered), self.born
 
     def _left_to_particles(self, state, error):
         """Return a state, without its flow, whose particles carry the rock from now on."""
@@ -444,10 +457,11 @@ class StokesEngine:
         with self.timed("surface"):
             slaving.look(self.grid)
             slaving.passes(state.time, surface_of(state.lines).points, state.flow)
-        begin = slaving.last
+        begin, crossed = slaving.last, self._crossed()
         trial = self._moved(
             state, state.time - TRIAL / slaving.modes.rates[-1], "euler", slaving=False
         )
+        self.left, self.entered, self.born = crossed
         at = self._placed(trial.particles, trial.lines)
         flow = self.solve(at, trial.time, trial.lines)
         with self.timed("surface"):
@@ -523,6 +537,7 @@ class StokesEngine:
             if hats is None:
                 hats = grid.index.locate(particles.x, particles.cell)[1]
             grid.fill(particles, hats, lines)
+            look_at_fields(grid)
         with self.timed("assemble"):
             grid.stokes.set_time(time)
             if self.surface:

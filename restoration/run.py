@@ -67,6 +67,7 @@ def march(state, engine, plan, every_step=(), at_marks=(), stopping=None):
             before = state
             until = next_time(state.time, mark, min(engine.stable_step(state, mark), longest))
             state = engine.with_flow(engine.advance(state, until))
+            engine.guard(state)
             state = stopping.landed(engine, before, state)
             for task in every_step:
                 task(before, state)

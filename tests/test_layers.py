@@ -79,7 +79,7 @@ ORDER = {
         "shared_stokes",
         "contacts",
         "grid",
-        "guard",
+        "guards",
         "mesher",
         "topography",
         "surface_modes",
