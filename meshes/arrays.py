@@ -89,4 +89,4 @@ def assembled(arrays, wall_tags, flat, comm, with_regions=True, cell="triangle")
     regions = None
     if with_regions:
         regions = np.concatenate(comm.allgather(arrays.regions))[mesh.topology.original_cell_index]
-    return SectionMesh(mesh, facet_tags, wall_tags, flat, regions)
+    return SectionMesh(mesh, facet_tags, wall_tags, flat, regions, arrays)

@@ -21,6 +21,7 @@ class SectionMesh:
         flat: walls that are straight and along an axis.
         regions: number of the region that mesh lines have each cell in, shape (cells,), int32: of
             a fitted mesh, or rock and air; None where no mesh lines part anything.
+        made_from: `meshes.arrays.Arrays` that it was assembled from; None of a structured mesh.
     """
 
     mesh: dmesh.Mesh
@@ -28,6 +29,7 @@ class SectionMesh:
     wall_tags: dict[str, int]
     flat: frozenset[str]
     regions: np.ndarray | None = None
+    made_from: object | None = None
 
     @property
     def dim(self):

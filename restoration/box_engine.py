@@ -7,7 +7,7 @@ from mpi4py import MPI
 
 from meshes.body_centred import body_centred_mesh
 from restoration.engine import StokesEngine
-from restoration.lines import with_points
+from restoration.lines import points_of, with_points
 from restoration.particles import relocate
 from restoration.state import State
 
@@ -51,6 +51,14 @@ class BoxEngine(StokesEngine):
 
     def _first_lines(self):
         return self.scene.sheets
+
+    def _take(self, section, lines, regions=None):
+        super()._take(section, (), regions)  # no mesh is made for sheets
+
+    _memory_of_lines = staticmethod(points_of)
+
+    def _lines_of_memory(self, points):
+        return with_points(self.scene.sheets, points)
 
     def _on_walls(self, x, particles):
         inside = self.within(x)

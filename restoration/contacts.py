@@ -7,6 +7,7 @@ import numpy as np
 import shapely
 
 from meshes.chains import arc_lengths, best_nodes, chains
+from restoration.lines import from_memory, memory_of
 from restoration.surface import Extension, cell_shapes, standing
 
 CORNER = np.radians(30)  # a line that turns more keeps a node where it does
@@ -100,6 +101,15 @@ class Contacts:
         if counts == [len(line.points) for line in self._lines] and len(lines) == len(rows):
             self._x = self._material(_upright(rows))
             self.hold(lines)
+
+    def memory(self):
+        """Return where the nodes on lines are; see `recall`."""
+        return {"x": self._x, "at": list(self._at), "lines": memory_of(self._lines)}
+
+    def recall(self, memory):
+        """Go on from what `memory` returned, of contacts made for the same mesh and lines."""
+        self._x, self._at = memory["x"], list(memory["at"])
+        self._lines = from_memory(memory["lines"])
 
     def follow(self, lines, rows=None, begins=False):
         """Move the mesh to lines.

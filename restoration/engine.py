@@ -7,20 +7,32 @@ A discrete-element engine will offer the same.
 
 import time
 from contextlib import contextmanager
-from dataclasses import replace
+from dataclasses import asdict, replace
+from functools import partial
 
 import numpy as np
+from mpi4py import MPI
 
+from meshes.arrays import Arrays, assembled
+from meshes.box import PLANE_WALLS, WALL_TAGS
 from restoration.advection import SCHEMES
 from restoration.bands import areas
 from restoration.diagnostics import relief
 from restoration.enclosed import kept
 from restoration.errors import MeshError, SolveError
 from restoration.free_surface import FreeSurface, with_area, without_cliffs
-from restoration.grid import Grid
+from restoration.grid import Grid, units_of_regions
 from restoration.guards import FittedGuard, StepGuards, look_at_fields
 from restoration.inflow import cast_off, flowed_in, with_ends
-from restoration.lines import begin, most_vertices, refined, surface_of, with_points
+from restoration.lines import (
+    begin,
+    from_memory,
+    memory_of,
+    most_vertices,
+    refined,
+    surface_of,
+    with_points,
+)
 from restoration.mesher import Mesher
 from restoration.particles import (
     OUTSIDE,
@@ -36,7 +48,7 @@ from restoration.scene import WALLS, Line, Outline
 from restoration.sharing import Sharing
 from restoration.state import State
 from restoration.step import Step
-from restoration.stokes import Counts
+from restoration.stokes import Counts, Flow
 from restoration.surface import standing
 from restoration.surface_modes import SETTLINGS
 from restoration.units import show
@@ -49,6 +61,23 @@ MOST_FALLEN = 1e-3  # of the section, that may fall from a surface in a step
 TRIAL = 0.5  # of the relaxation time of the fastest mode: a step that tells a rate
 SAFETY = 0.9  # of the step that would be off by just what is tolerated
 MOST_SHRUNK, MOST_GROWN, MOST_TRIALS = 0.2, 2.0, 12  # of steps by their error
+# What is counted and remembered from step to step beside the state.
+NUMBERS = (
+    "meshes",
+    "fitted",
+    "start_area",
+    "surface_shift",
+    "horizon_shift",
+    "fallen",
+    "rejected",
+    "retried",
+    "longest",
+    "born",
+    "empty_cells",
+    "held_on_wall",
+    "_steps",
+    "_next",
+)
 PARTS = ("setup", "mesh", "fields", "assemble", "solve", "surface", "advect")
 
 
@@ -67,6 +96,8 @@ class StokesEngine:
         empty_cells: cells without a particle after the last step; their rock is read from the
             particles around them.
         rejected: steps that were off by more than is tolerated, and taken anew.
+        retried: steps that have failed, and were taken anew with half their length.
+        longest: step that may be taken after such ones, s.
         held_on_wall: times a particle was set back onto a closed wall.
         seconds: wall time by part, s.
         grid: the `Grid` in use: one for the run where the mesh stands still.
@@ -89,6 +120,7 @@ class StokesEngine:
         self.sharing = Sharing(self.ranks)
         self.seconds = dict.fromkeys(PARTS, 0.0)
         self.scene, self.counts = scene, Counts()
+        self._given = scene.mesh
         self.meshes, self.grid = 0, None
         self.surface = FreeSurface(scene) if scene.free else None
         self.surface_shift, self.horizon_shift, self.fallen = 0.0, 0.0, 0.0
@@ -109,12 +141,13 @@ class StokesEngine:
             except MeshError as error:
                 self._leave_to_particles(scene.time.marks[0], error)
                 section, points = self.mesher.mesh(lines)
-            self._take(section, lines, None if points is None else (None, points, {}))
+            self._take(section, lines, self._units(points))
         self.start_area = self.grid.section.area
         self._guard = FittedGuard(scene, self.mesher.coarsest)
         self._guards = StepGuards(scene, self.ranks, not self.open)
         self._steps, self._last_flow = 0, None
         self.rejected, self._next = 0, np.inf  # steps; the next one by the error of the last, s
+        self.retried, self.longest = 0, np.inf
         self.born = 0
         self.empty_cells = 0
         self.held_on_wall = 0
@@ -146,6 +179,7 @@ class StokesEngine:
             "meshes": self.meshes,
             "interfaces_used": "fitted" if self.fitted else "particles",
             "steps_rejected": self.rejected,
+            "steps_retried": self.retried,
             "particles_born": self.born,
             "particles_left": dict(self.left),
             "particles_entered": dict(self.entered),
@@ -172,6 +206,7 @@ class StokesEngine:
             "particles_entered": sum(self.entered.values()),
             "empty_cells": self.empty_cells,
             "held_on_wall": self.held_on_wall,
+            "steps_retried": self.retried,
             "surface_relief_m": relief(state.lines)["surface_relief_m"],
             "surface_shift_m": self.surface_shift if self.surface else None,
             "horizon_shift_m": None if self.open else self.horizon_shift,
@@ -189,6 +224,10 @@ class StokesEngine:
         """Raise where a state with its flow cannot be gone on from, see `StepGuards.look`."""
         crossed = sum(self.entered.values()) - sum(self.left.values())
         self._guards.look(state, self.born + crossed)
+
+    def facts(self):
+        """Return what a developer asks of mesh, rock and matrix, numbers by name."""
+        return self.grid.facts()
 
     def taken_over(self, state):
         """Return the state of another engine, on another mesh, as one of this."""
@@ -212,7 +251,7 @@ class StokesEngine:
         """Go on with a new mesh, which follows the surface or, fitted, the lines."""
         if self.grid is not None:
             self.grid.stokes.release()
-        self.grid = Grid(self.scene, section, self.counts, regions, lines, self.ranks)
+        self.grid = self._grid_of(section, lines, regions)
         self.meshes += 1
         line = surface_of(lines)
         if regions is not None:
@@ -224,6 +263,101 @@ class StokesEngine:
                 "the cells below the surface lose their shape: it is too steep for columns; "
                 "raise mesh.cells"
             )
+
+    def _grid_of(self, section, lines, regions):
+        return Grid(self.scene, section, self.counts, regions, lines, self.ranks)
+
+    def _units(self, points, particles=None, bands=()):
+        """Return what tells a `Grid` the units of its regions; None where there are none."""
+        if points is None:
+            return None
+        known = {"particles": particles, "points": points, "bands": dict(bands)}
+        return partial(units_of_regions, **known, scene=self.scene, ranks=self.ranks)
+
+    def memory(self, state):
+        """Return all that the run depends on from a state on, for a checkpoint or another trial.
+
+        What is rebuilt from it by `recalled` goes on bit for bit as this engine does. The arrays
+        are not to be changed.
+
+        Args:
+            state: with its flow, the one solved for last.
+
+        Returns:
+            A dict of dicts, lists, numbers, texts and arrays; the same on all ranks.
+        """
+        flow = state.flow
+        return {
+            "time": state.time,
+            "particles": self.sharing.memory(state.particles),
+            "lines": self._memory_of_lines(state.lines),
+            "flow": {"u": flow.u, "p": flow.p, "residual": flow.residual},
+            "grid": self.grid.memory(),
+            "surface": self.surface and self.surface.memory(),
+            "rock_areas": self._guard.areas,
+            "guards": self._guards.memory(),
+            "counts": asdict(self.counts),
+            "numbers": {name: getattr(self, name) for name in NUMBERS},
+            "left": dict(self.left),
+            "entered": dict(self.entered),
+            "folded": sorted(self._folded),
+            "notes": list(self.notes),
+            "seconds": dict(self.seconds),
+        }
+
+    def recalled(self, memory):
+        """Go back to where `memory` was asked for, and return the state.
+
+        Args:
+            memory: of an engine of the same scene, on any number of ranks.
+        """
+        self._let_follow(memory["numbers"]["fitted"])
+        flow = memory["flow"]
+        flow = Flow(flow["u"], flow["p"], flow["residual"])
+        with self.timed("setup"):
+            self.grid.stokes.release()
+            self.grid = self._recalled_grid(memory["grid"])
+            self.grid.recall(memory["grid"], memory["time"])
+            if self.surface:
+                self.surface.recall(memory["surface"], self.grid)
+        particles = self.sharing.recalled(memory["particles"], self.grid.index)
+        self._guard.areas = memory["rock_areas"]
+        self._guards.recall(memory["guards"])
+        for name, value in memory["counts"].items():
+            setattr(self.counts, name, value)
+        for name, value in memory["numbers"].items():
+            setattr(self, name, value)
+        self.left, self.entered = dict(memory["left"]), dict(memory["entered"])
+        self._folded, self.notes = set(memory["folded"]), list(memory["notes"])
+        self.seconds, self._last_flow = dict(memory["seconds"]), flow
+        lines = self._lines_of_memory(memory["lines"])
+        return State(memory["time"], particles, lines, flow, self.grid)
+
+    def _recalled_grid(self, memory):
+        """Return a grid as it was made, of the mesh that a memory tells of."""
+        lines, arrays = from_memory(memory["made_for"]), memory["arrays"]
+        if arrays is None:
+            return self._grid_of(self.mesher.mesh(lines)[0], lines, None)
+        section = assembled(
+            Arrays(**arrays),
+            {name: WALL_TAGS[name] for name in PLANE_WALLS},
+            frozenset(memory["flat"]),
+            MPI.COMM_SELF,
+            memory["with_regions"],
+        )
+        unit = memory["unit_of_region"]
+        return self._grid_of(section, lines, None if unit is None else lambda *_: unit)
+
+    def _let_follow(self, fitted):
+        """Let mesh lines follow the rock from now on, or particles carry it."""
+        if fitted == self.fitted:
+            return
+        mesh = self._given if fitted else replace(self._given, interfaces="particles")
+        self.scene, self.fitted = replace(self.scene, mesh=mesh), fitted
+        self.mesher = self.make_mesher(self.scene, self.ranks)
+
+    _memory_of_lines = staticmethod(memory_of)
+    _lines_of_memory = staticmethod(from_memory)
 
     def stand(self, lines):
         """Move the mesh to where the surface is, or make a new one if its cells would suffer."""
@@ -281,7 +415,7 @@ class StokesEngine:
             if not self.grid.fit(lines, rows, begins):
                 section, points = self.mesher.mesh(lines)
                 particles = self._nowhere(particles)
-                self._take(section, lines, (particles, points, areas(lines)))
+                self._take(section, lines, self._units(points, particles, areas(lines)))
             self._guard.look(self.grid)
             return relocate(particles, self.grid.index)
 
@@ -309,7 +443,7 @@ class StokesEngine:
         if not np.isfinite(fastest):
             raise SolveError("the velocity is not finite; no time step is possible")
         longest = self.scene.time.courant / fastest if fastest > 0 else np.inf
-        longest = min(longest, self._next)
+        longest = min(longest, self._next, self.longest)
         if self.surface:
             with self.timed("surface"):
                 longest = min(longest, self.surface.stable_step(state.grid, state.time, mark))
@@ -350,9 +484,8 @@ class StokesEngine:
             f"from {time_label(self.scene, time)} on particles carry the rock: "
             f"{str(error).partition('; let particles')[0]}"
         )
-        self.scene = replace(self.scene, mesh=replace(self.scene.mesh, interfaces="particles"))
-        self.mesher = Mesher(self.scene, self.ranks)
-        self.fitted, self._last_flow = False, None
+        self._let_follow(False)
+        self._last_flow = None
 
     def _advanced(self, state, until):
         slaving = self.surface and self.surface.slaving

@@ -8,9 +8,16 @@ from dataclasses import dataclass
 
 
 class RestorationError(Exception):
-    """Base of every error that is reported without a traceback."""
+    """Base of every error that is reported without a traceback.
+
+    Attributes:
+        memory: of the state before the step that has failed for good, see `StokesEngine.memory`;
+            None where it was no such step.
+        facts: what a developer asks of mesh, rock and matrix, numbers and texts by name.
+    """
 
     exit_code = 1
+    memory = facts = None
 
 
 @dataclass(frozen=True)
@@ -89,6 +96,10 @@ class OutputError(RestorationError):
     """A result could not be written."""
 
     exit_code = 5
+
+
+class CheckpointError(OutputError):
+    """A checkpoint cannot be read, or is of another run."""
 
 
 class StoppedError(RestorationError):

@@ -58,6 +58,28 @@ class FreeSurface:
             rate = min(rate, self.slaving.cut) if self.slaving else rate
         return self.plan.limit * longest / rate
 
+    def memory(self):
+        """Return what is known of the surface, for a checkpoint; see `recall`."""
+        return {
+            "gamma": self.gamma,
+            "growth": self.growth,
+            "leg": self._leg,
+            "mode": self._mode,
+            "slaving": self.slaving and self.slaving.memory(),
+        }
+
+    def recall(self, memory, grid):
+        """Go on from what `memory` returned, with the `Grid` of that moment."""
+        self.gamma, self.growth = memory["gamma"], memory["growth"]
+        self._leg, self._mode = memory["leg"], memory["mode"]
+        self.slaving, self._response = None, None
+        if memory["slaving"]:
+            self.slaving = self._new_slaving()
+            self.slaving.recall(memory["slaving"], grid)
+
+    def _new_slaving(self):
+        return Slaving(longest_way_back(self.marks), self.plan.tolerance)
+
     @property
     def slaved(self):
         """Number of modes that are slaved now."""
@@ -87,7 +109,7 @@ class FreeSurface:
         self.growth = rate * span
         wanted = self.plan.reverse
         if rate and (wanted == "slave" or (wanted == "auto" and self.growth > INTEGRABLE)):
-            self.slaving = Slaving(span, self.plan.tolerance)
+            self.slaving = self._new_slaving()
 
 
 def without_cliffs(lines, most, cell_size):

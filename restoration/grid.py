@@ -1,5 +1,6 @@
 """One mesh of a section with all that is made for it: spaces, cells of points, rock, the flow."""
 
+from dataclasses import fields
 from functools import partial
 
 import numpy as np
@@ -8,12 +9,13 @@ import ufl
 from dolfinx import fem
 
 from forms.elements import ELEMENTS
+from meshes.arrays import Arrays
 from meshes.box import AIR
 from meshes.split import barycentric_mesh
 from restoration.conservative import velocity_sampler
 from restoration.contacts import Contacts
 from restoration.line_rock import LineRock
-from restoration.lines import surface_of
+from restoration.lines import memory_of, surface_of
 from restoration.particles import CellIndex, nearest, relocate
 from restoration.ranks import ALONE
 from restoration.shared_stokes import SharedStokes
@@ -25,6 +27,7 @@ from restoration.transfer import FittedFields, RockFields
 
 # Shape of an equilateral triangle, a square and a regular tetrahedron.
 BEST_SHAPE = {"triangle": 3**0.5 / 6, "quadrilateral": 1 / 4, "tetrahedron": 0.5**0.5}
+ARRAYS = tuple(field.name for field in fields(Arrays))
 
 
 class Grid:
@@ -34,9 +37,9 @@ class Grid:
         scene: `scene.Scene`.
         section: `meshes.data.SectionMesh`; split at the barycentres here where elements ask for it.
         counts: `stokes.Counts` to go on with, or None.
-        regions: of a fitted mesh, (particles, points, bands): what tells the unit of every region,
-            see `units_of_regions`; None where particles carry the rock.
-        lines: `lines.MovingLine`s of a fitted mesh, as it was made for them.
+        regions: of a fitted mesh, tells the unit of every region for the section and its
+            `CellIndex`, such as `units_of_regions`; None where particles carry the rock.
+        lines: `lines.MovingLine`s that the mesh was made for.
         ranks: `ranks.Ranks`, that hold the mesh whole each and solve on it together.
 
     Attributes:
@@ -48,6 +51,10 @@ class Grid:
     def __init__(self, scene, section, counts=None, regions=None, lines=(), ranks=ALONE):
         self._ranks = ranks
         pair = ELEMENTS[scene.mesh.element]
+        self._made_for, self._made_from = lines, None
+        self._with_regions = section.regions is not None
+        if regions is not None or scene.mesh.refine:
+            self._made_from = section.made_from
         section = barycentric_mesh(section) if pair.split else section
         air = scene.air
         lowest = min(scene.unit_viscosity.min(), air.viscosity if air else np.inf)
@@ -67,8 +74,9 @@ class Grid:
                 ranks,
             )
         else:
-            unit = units_of_regions(section, self.index, *regions, scene, ranks)
-            self.fields = FittedFields(self.spaces, density, viscosity, unit[section.regions])
+            self._unit_of_region = regions(section, self.index)
+            unit = self._unit_of_region[section.regions]
+            self.fields = FittedFields(self.spaces, density, viscosity, unit)
         self.top = None
         if scene.free:
             motion = scene.surface.motion
@@ -99,6 +107,73 @@ class Grid:
         self._u = fem.Function(self.spaces.V)
         rock = self.top.rock if self.top else 1
         self._squared = fem.form(rock * ufl.inner(self._u, self._u) * self.spaces.dx)
+        self._snapshot = None
+        self._analysed = self._factored = None
+        self._analyses = 0
+        self.stokes.factored = self._note_factors
+
+    def _note_factors(self):
+        """Keep what the matrix was made of that has just been factorised."""
+        self._factored = self._matrix_of()
+        if self._analysed is None or self.stokes.analyses != self._analyses:
+            self._analyses, self._analysed = self.stokes.analyses, self._factored
+
+    def _matrix_of(self):
+        """Return all that the matrix depends on and that changes with time."""
+        return self.fields.values() | {"points": self.points, "lead": self.stokes.lead}
+
+    @property
+    def points(self):
+        """The nodes of the mesh, shape (nodes, dim), m; a copy."""
+        return self.section.mesh.geometry.x[:, : self.section.dim].copy()
+
+    def _set(self, matrix_of, time):
+        """Set mesh and fields to where they were, see `_matrix_of`."""
+        self.section.mesh.geometry.x[:, : self.section.dim] = matrix_of["points"]
+        self.fields.set_values(matrix_of)
+        self.stokes.set_time(time)
+        if self.top:
+            self.stokes.stabilise(matrix_of["lead"])
+
+    def memory(self):
+        """Return all that a `Grid` made anew lacks, for a checkpoint; see `recalled`."""
+        once = self._analysed is self._factored
+        arrays = self._made_from
+        return {
+            "arrays": arrays and {name: getattr(arrays, name) for name in ARRAYS},
+            "flat": sorted(self.section.flat),
+            "with_regions": self._with_regions,
+            "made_for": memory_of(self._made_for),
+            "unit_of_region": None if self.contacts is None else self._unit_of_region,
+            "contacts": self.contacts and self.contacts.memory(),
+            "lid": self.index.lid,
+            "fields": self.fields.memory(),
+            "now": self._matrix_of(),
+            "analysed": self._analysed,
+            "factored": None if once else self._factored,
+            "stokes": self.stokes.memory(),
+        }
+
+    def recall(self, memory, time):
+        """Take the moving parts of what `memory` returned of a grid, made for the same mesh.
+
+        The matrix is factorised as it was, so that old factors go on as they would have.
+
+        Args:
+            memory: of `memory`.
+            time: model time then, s.
+        """
+        for name in ("analysed", "factored"):
+            if memory[name]:
+                self._set(memory[name], time)
+                self.stokes.prepare(memory["stokes"], analysed=name == "analysed")
+                self._note_factors()
+        self._set(memory["now"], time)
+        self.fields.recall(memory["fields"])
+        self.stokes.recall(memory["stokes"])
+        self.index.moved(memory["lid"])
+        if self.contacts:
+            self.contacts.recall(memory["contacts"])
         self._snapshot = None
 
     def _line_rock(self, scene):
@@ -134,6 +209,20 @@ class Grid:
     def thinnest(self):
         """Least shape of the cells as they were made, over that of the best cell."""
         return float(np.abs(self._made).min() / BEST_SHAPE[self.section.cell])
+
+    def facts(self):
+        """Return what a developer asks of mesh, rock and matrix, numbers by name."""
+        kept, eta = self.kept_shape, self.fields.viscosity_means() * self.eta0
+        worst = self.index.corners[int(np.nan_to_num(kept, nan=-np.inf).argmin())].mean(axis=0)
+        return {
+            "cells": len(kept),
+            "unknowns": self.spaces.unknowns,
+            "least_area": float(self.index.area.min()),
+            "least_shape_kept": float(kept.min()),
+            "least_shape_at_m": worst.tolist(),
+            "thinnest_cell": self.thinnest,
+            "viscosity_Pa_s": [float(eta.min()), float(eta.max())],
+        } | self.stokes.facts()
 
     def fit(self, lines, rows=None, begins=False):
         """Move a fitted mesh to lines; return whether its cells have kept their shape.
@@ -205,7 +294,7 @@ def tetrahedron_shapes(corners):
     return np.einsum("cd,cd->c", edges[:, 0], np.cross(edges[:, 1], edges[:, 2])) / squares**1.5
 
 
-def units_of_regions(section, index, particles, points, bands, scene, ranks):
+def units_of_regions(section, index, *, particles, points, bands, scene, ranks):
     """Return the unit of every region of a fitted mesh: that of most of its particles.
 
     The bands of faults are known by their edges: the few particles in a sliver of one tell less.

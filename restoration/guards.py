@@ -38,6 +38,14 @@ class StepGuards:
         """Begin anew: with the next state, which may be of another mesh and another cloud."""
         self._area = self._expected = None
 
+    def memory(self):
+        """Return what the next looks compare with."""
+        return {"area": self._area, "particles": self._expected}
+
+    def recall(self, memory):
+        """Go on comparing with what `memory` has returned."""
+        self._area, self._expected = memory["area"], memory["particles"]
+
     def look(self, state, arrived=0):
         """Raise where a state cannot be gone on from.
 
@@ -184,11 +192,14 @@ class FittedGuard:
     Args:
         scene: `scene.Scene`.
         cell: side of the squares that become cells, m.
+
+    Attributes:
+        areas: of every rock on the last mesh, m^2; None before the first.
     """
 
     def __init__(self, scene, cell):
         self.scene, self._thinnest = scene, WELD * cell
-        self._areas = None
+        self.areas = None
 
     def look(self, grid):
         """Raise where lines no longer part the rocks, or a weld is better left to particles.
@@ -202,7 +213,7 @@ class FittedGuard:
         """
         rock = np.array([unit.rock for unit in self.scene.units])[grid.fields.unit]
         areas = np.bincount(rock, grid.index.area, len(self.scene.rocks))
-        jump = np.abs(areas - (areas if self._areas is None else self._areas))
+        jump = np.abs(areas - (areas if self.areas is None else self.areas))
         if jump.max() > ROCK_JUMP * areas.sum():
             name = self.scene.rocks[jump.argmax()].name
             raise MeshError(
@@ -210,7 +221,7 @@ class FittedGuard:
                 "longer parts the rocks; let particles carry them (mesh.interfaces: auto does so "
                 "by itself)"
             )
-        self._areas = areas
+        self.areas = areas
         if self.scene.mesh.interfaces == "auto":
             self._refuse_welds(grid)
 

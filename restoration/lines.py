@@ -61,6 +61,27 @@ def spaced(points, longest):
     return np.column_stack([np.interp(at, np.arange(len(points)), axis) for axis in points.T])
 
 
+def memory_of(lines):
+    """Return lines as arrays and names, for a checkpoint; see `from_memory`."""
+    return {
+        "names": [line.name for line in lines],
+        "kinds": [line.kind for line in lines],
+        "counts": [len(line.points) for line in lines],
+        "points": points_of(lines),
+        "added": np.concatenate([np.empty(0), *(line.added for line in lines)]),
+        "way": np.concatenate([np.empty(0, np.int8), *(line.way for line in lines)]),
+    }
+
+
+def from_memory(memory):
+    """Return the `MovingLine`s that `memory_of` was asked of."""
+    ends = np.cumsum(memory["counts"])[:-1]
+    columns = (np.split(memory[name], ends) for name in ("points", "added", "way"))
+    if not memory["names"]:
+        return ()
+    return tuple(map(MovingLine, memory["names"], memory["kinds"], *columns))
+
+
 def points_of(lines):
     """Return the vertices of all lines, or points of all sheets, in one array, (n, dim), m."""
     return np.concatenate([line.points for line in lines]) if lines else np.empty((0, 2))

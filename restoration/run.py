@@ -16,6 +16,7 @@ from pathlib import Path
 
 from restoration.errors import CaseError, OutputError, SolveError, StoppedError
 from restoration.launch import as_many_as_told
+from restoration.retry import stepped
 from restoration.stopping import Stopping
 from restoration.units import show
 
@@ -41,40 +42,46 @@ def next_time(t, mark, stable):
     return mark if n <= 1 else t + (mark - t) / n
 
 
-def march(state, engine, plan, every_step=(), at_marks=(), stopping=None):
+def march(state, engine, plan, every_step=(), at_marks=(), stopping=None, at_rest=(), passed=None):
     """March through the model times of a plan; decreasing marks restore.
 
     Args:
-        state: `State` at the first mark.
-        engine: offers ``with_flow(state)``, ``stable_step(state, mark)`` and
-            ``advance(state, until)``.
+        state: `State` at the first mark, or where ``passed`` says.
+        engine: offers ``stable_step(state, mark)`` and what `retry.stepped` asks for.
         plan: `scene.TimePlan`.
         every_step: functions of the state before and after a step.
         at_marks: functions of the number of the mark and the state there, from the first mark on.
         stopping: `stopping.Stopping` that may end the march; where it does is its last mark.
+        at_rest: functions of the number of the last mark passed and the state, when all else of a
+            step, or of the mark it has led to, is done: the march can go on from there.
+        passed: number of the last mark that a march which goes on from there had passed; None where
+            it begins.
 
     Returns:
         The state at the last mark.
     """
     stopping = stopping or Stopping()
-    state = engine.with_flow(state)
-    stopping.begin(state)
-    for task in at_marks:
-        task(0, state)
-    for number, mark in enumerate(plan.marks[1:], start=1):
-        longest = abs(mark - state.time) / plan.min_steps
+    if passed is None:
+        passed, state = 0, engine.with_flow(state)
+        stopping.begin(state)
+        for task in (*at_marks, *at_rest):
+            task(0, state)
+    for number, mark in enumerate(plan.marks[passed + 1 :], start=passed + 1):
+        if stopping.over:
+            break
+        longest = abs(mark - plan.marks[number - 1]) / plan.min_steps
         while state.time != mark and not stopping.over:
             before = state
             until = next_time(state.time, mark, min(engine.stable_step(state, mark), longest))
-            state = engine.with_flow(engine.advance(state, until))
-            engine.guard(state)
+            state = stepped(engine, before, until)
             state = stopping.landed(engine, before, state)
             for task in every_step:
                 task(before, state)
-        for task in at_marks:
+            if state.time != mark and not stopping.over:
+                for task in at_rest:
+                    task(number - 1, state)
+        for task in (*at_marks, *at_rest):
             task(number, state)
-        if stopping.over:
-            break
     return state
 
 
@@ -167,6 +174,8 @@ RUN_FILES = (
     "figures/certificate.png",
     "certificate.md",
     "figures/flatness.png",
+    "failure/facts.json",
+    "failure/state.h5",
     "horizons/[0-9]*-*.geojson",
 )
 

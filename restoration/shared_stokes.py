@@ -61,9 +61,10 @@ class SharedStokes:
             **options,
         )
         self._hats = self._nodes_of(own.H, spaces.H)
+        self._nodes = [self._nodes_of(own.V, spaces.V), self._nodes_of(own.Q, spaces.Q)]
         self._gathered = [
-            _Gathering(ranks, space, self._nodes_of(space, whole))
-            for space, whole in ((own.V, spaces.V), (own.Q, spaces.Q))
+            _Gathering(ranks, space, at)
+            for space, at in zip((own.V, own.Q), self._nodes, strict=True)
         ]
 
     @property
@@ -101,9 +102,13 @@ class SharedStokes:
 
     def assemble(self):
         """Assemble for the fields as they are now, see `StokesProblem.assemble`."""
+        self._mirror()
+        self._problem.assemble()
+
+    def _mirror(self):
+        """Take the values of the functions on the whole mesh."""
         for function, (own, at) in self._mirrors.items():
             own.x.array[:] = function.x.array[at]
-        self._problem.assemble()
 
     def solve(self):
         """Return the `Flow` on the whole mesh of what was assembled last.
@@ -121,6 +126,47 @@ class SharedStokes:
             column: its height at the dofs of `Spaces.H` of the whole mesh, m.
         """
         return self._gathered[0](self._problem.response(column[self._hats]))
+
+    @property
+    def factored(self):
+        """See `StokesProblem`."""
+        return self._problem.factored
+
+    @factored.setter
+    def factored(self, note):
+        self._problem.factored = note
+
+    @property
+    def lead(self):
+        """See `StokesProblem.lead`."""
+        return self._problem.lead
+
+    @property
+    def analyses(self):
+        """See `StokesProblem.analyses`."""
+        return self._problem.analyses
+
+    def memory(self):
+        """Return what `StokesProblem.memory` does, on the whole mesh."""
+        found, (velocity, pressure) = self._problem.memory(), self._gathered
+        past = [x | {"u": velocity(x["u"]), "p": pressure(x["p"])} for x in found["past"]]
+        return found | {"past": past}
+
+    def prepare(self, memory, analysed):
+        """See `StokesProblem.prepare`."""
+        self._mirror()
+        self._problem.prepare(memory, analysed)
+
+    def recall(self, memory):
+        """See `StokesProblem.recall`; of any number of ranks."""
+        self._mirror()
+        velocity, pressure = self._nodes
+        past = [x | {"u": x["u"][velocity], "p": x["p"][pressure]} for x in memory["past"]]
+        self._problem.recall(memory | {"past": past})
+
+    def facts(self):
+        """Return what `StokesProblem.facts` does."""
+        return self._problem.facts()
 
     def release(self):
         """Give the memory of matrix and factors back."""

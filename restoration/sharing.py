@@ -9,9 +9,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from restoration.particles import OUTSIDE, joined, subset
+from restoration.particles import OUTSIDE, Particles, joined, subset
 
 MOST_LOAD = 1.1  # of the mean load, above which cells are dealt out anew
+CLOUD = tuple(name for name in Particles.__dataclass_fields__ if name != "number")
 
 
 class Sharing:
@@ -42,6 +43,45 @@ class Sharing:
         self._deal(np.bincount(particles.cell[particles.inside], minlength=len(index.area)), index)
         whole = replace(particles, number=np.arange(n))
         return subset(whole, np.flatnonzero(self._rank_of(particles.cell, whole.number)))
+
+    def memory(self, particles):
+        """Return the whole cloud and who has what of it, for a checkpoint; see `recalled`.
+
+        Args:
+            particles: `Particles` of this rank.
+        """
+        ranks, own = self._ranks, particles.number
+        memory = {name: getattr(self.whole(particles), name) for name in CLOUD}
+        if not ranks.several:
+            return memory
+        numbers = ranks.rows(own)
+        order = np.argsort(numbers)
+        held_by = ranks.rows(np.full(len(own), ranks.rank, np.int32))
+        return memory | {
+            "ranks": ranks.size,
+            "number": numbers[order],
+            "held_by": held_by[order],
+            "owner": self._owner,
+            "next_number": self._next_number,
+            "load": self.load,
+        }
+
+    def recalled(self, memory, index):
+        """Return the particles of this rank of a cloud that `memory` returned.
+
+        On as many ranks as then every one gets what it had.
+
+        Args:
+            memory: of `memory`, the same on all ranks.
+            index: `CellIndex` that the particles are located in.
+        """
+        particles = Particles(**{name: memory[name] for name in CLOUD})
+        if not self._ranks.several or memory.get("ranks") != self._ranks.size:
+            return self.dealt(particles, index)
+        self._owner, self._next_number = memory["owner"], memory["next_number"]
+        self.load = memory["load"]
+        particles = replace(particles, number=memory["number"])
+        return subset(particles, np.flatnonzero(memory["held_by"] == self._ranks.rank))
 
     def migrated(self, particles, index):
         """Return the particles of this rank's cells, after they have moved or the mesh has.

@@ -26,6 +26,8 @@ WORKSPACE = (100, 300, 900)
 SMALL_WORKSPACE = (-8, -9)
 OUT_OF_MEMORY = (-5, -7, -13)
 SINGULAR = (-6, -10)
+# What developers ask MUMPS for: error and its detail, entries and rows, memory, pivots.
+INFOG, RINFOG = (1, 2, 9, 10, 12, 16, 17, 18, 19, 25, 28), (1, 3, 11)
 PREFIX = "stokes_"
 
 # What a factorisation may cost in solves with its factors, on 20 000 unknowns, and how that grows.
@@ -34,6 +36,20 @@ FACTOR_COST, FACTOR_GROWTH = 14.0, 0.13
 REUSE_RTOL = 1e-12  # of a solution by old factors: its error over its size, about
 REUSE_RTOL_TIGHT = 1e-13  # where that leaves a residual
 MOST_REUSE_FAILURES = 4  # doublings of the solves until old factors are tried again
+REMEMBERED = (
+    "factorisations",
+    "iterations",
+    "vcycles",
+    "_workspace",
+    "_changed",
+    "_stale",
+    "_spent",
+    "_solves",
+    "_last",
+    "_failures",
+    "_waits",
+    "careful",
+)
 
 DIRECT = {
     "ksp_type": "preonly",
@@ -112,6 +128,8 @@ class DirectSolver:
 
     Attributes:
         factorisations, iterations, vcycles: so far; a direct solve is one iteration.
+        analyses: so far, of the structure of the matrix, which look at its values too.
+        careful: whether it factorises as `CAREFUL` has it.
     """
 
     def __init__(self, A, options=None, symmetric=True):
@@ -126,6 +144,7 @@ class DirectSolver:
         self._spent, self._solves, self._last = 0.0, 1, 0.0  # in solves, since factorised
         self._failures, self._waits = 0, 0
         self.ksp = self._krylov = None
+        self.analyses, self.careful = 0, False
 
     def update(self, keep=False):
         """Take the matrix as it is now: factorise it at the next solve; the analysis is kept.
@@ -148,6 +167,7 @@ class DirectSolver:
 
     def rescale(self):
         """Let the matrix be factorised as `CAREFUL` has it, from the next solve on."""
+        self.careful = True
         self.options |= CAREFUL
         self._make()
         self._changed, self._stale = True, False
@@ -242,6 +262,37 @@ class DirectSolver:
                 )
             raise SolveError(f"PETSc reason {reason}, MUMPS INFOG(1) = {infog}; {advice}")
 
+    def memory(self):
+        """Return what decides how the next solves are made, beside the factors; see `recall`."""
+        return {name: getattr(self, name) for name in REMEMBERED}
+
+    def recall(self, memory):
+        """Go on as the solver did that `memory` was asked of, once the factors are those it had."""
+        for name in REMEMBERED:
+            setattr(self, name, memory[name])
+
+    def prepare(self):
+        """Factorise the matrix as it is now."""
+        self.update()
+        self.ksp.setUp()
+        self._changed = self._stale = False
+
+    def analysed_anew(self, workspace):
+        """Let the next matrix be analysed too, for a workspace that was found before."""
+        self._workspace, self._changed = workspace, True
+        self._make()
+
+    def facts(self):
+        """Return the numbers by which MUMPS and PETSc tell of the last factorisation."""
+        if self.ksp is None:
+            return {}
+        facts = {"petsc_reason": self.ksp.getConvergedReason(), "careful": self.careful}
+        if self.ksp.getPC().getFactorSolverType() == "mumps":
+            factors = self.ksp.getPC().getFactorMatrix()
+            told = {f"mumps_infog_{number}": factors.getMumpsInfog(number) for number in INFOG}
+            facts |= told | {f"mumps_rinfog_{n}": factors.getMumpsRinfog(n) for n in RINFOG}
+        return facts
+
     def release(self):
         """Give the memory of the factors back."""
         for ksp in (self.ksp, self._krylov):
@@ -251,6 +302,7 @@ class DirectSolver:
 
     def _make(self):
         self.release()
+        self.analyses += 1
         self.A.setOption(PETSc.Mat.Option.SYMMETRIC, self.symmetric)
         options = {"mat_mumps_icntl_14": WORKSPACE[self._workspace]} | self.options
         self.ksp = _new_ksp(self.A.comm, PREFIX, options)
@@ -349,8 +401,29 @@ class FieldsplitSolver:
         pc.getMGCoarseSolve().setOperators(self.coarse)
         pc.getMGSmoother(1).setOperators(self.A_uu)
 
+    def facts(self):
+        """Return the numbers by which PETSc tells of the last solve."""
+        return {"petsc_reason": self.ksp.getConvergedReason(), "floor": self.floor}
+
     stale = False  # its blocks are always those of the matrix, and its tolerance that of PETSc
     singular = False
+    analyses = 0
+
+    def memory(self):
+        """Return what it has done so far; see `DirectSolver.memory`."""
+        return {name: getattr(self, name) for name in ("factorisations", "iterations", "vcycles")}
+
+    def recall(self, memory):
+        """Go on with these; see `DirectSolver.recall`."""
+        for name, value in memory.items():
+            setattr(self, name, value)
+
+    def prepare(self):
+        """Set up for the matrix as it is now."""
+        self._set_up()
+
+    def analysed_anew(self, workspace):
+        """Do nothing: there is nothing that the next matrix does not tell."""
 
     def solve(self, b, x, guess=False, rtol=None):
         """Solve in place.

@@ -49,6 +49,7 @@ OUT_OF_MEMORY = 55  # error of PETSc
 ROUNDINGS = 100  # in the sum of a row
 REFINEMENTS = 3  # of a solution, at most
 ANEW = "assembled anew"
+WORST_ROWS = 5  # of the matrix, that a dump for developers names
 REMEMBERED = 3  # solutions through which a polynomial in time leads to the next
 FURTHEST = 1.5  # of the time between the first and the last of them, that it is followed
 
@@ -128,6 +129,11 @@ class Past:
         x.copy(held)
         self._kept[time] = held
 
+    @property
+    def kept(self):
+        """The vectors kept, by their times, the oldest first."""
+        return dict(self._kept)
+
     def release(self):
         """Give the memory back."""
         for held in [*self._kept.values(), *self._free]:
@@ -161,6 +167,7 @@ class StokesProblem:
     Attributes:
         counts: what was done so far.
         leak: flux out of the walls that the section makes up for by swelling, m^dim/s.
+        factored: called without arguments whenever the matrix was factorised.
     """
 
     def __init__(
@@ -209,7 +216,8 @@ class StokesProblem:
         self.x, self.r = self.b.duplicate(), self.b.duplicate()
         self._null_space = None
         self.solver, self._seen = self._make_solver(name, eta), (0, 0)
-        self._assembled = False
+        self._assembled = self._fell_back = False
+        self.factored = lambda: None
         self._time = self._factor_time = None
         self._past = Past(self.x)
         self._divergence = Divergence(section, spaces)
@@ -248,7 +256,7 @@ class StokesProblem:
             self.bcs = [*self.bcs, pressure_pin(self.spaces)]
         self.solver.release()
         self.solver, self._seen = self._make_solver("direct", None), (0, 0)
-        self._assembled = False
+        self._assembled, self._fell_back = False, True
         self.assemble()
 
     @property
@@ -375,6 +383,92 @@ class StokesProblem:
             self._p.x.array[:] -= self._total(self._surface_pressure) / self._surface_length
         return Flow(u, self._p.x.array.copy(), residual)
 
+    def facts(self):
+        """Return sizes of matrix and load, the worst rows, and what MUMPS tells; collective."""
+        first = self.A.getOwnershipRange()[0]
+        residual = np.abs(self.r.array_r)
+        worst = first + np.argsort(np.nan_to_num(residual, nan=np.inf))[-WORST_ROWS:][::-1]
+        return {
+            "solver": type(self.solver).__name__,
+            "matrix_norm": self.A.norm(),
+            "load_norm": self.b.norm(),
+            "solution_norm": self.x.norm(),
+            "relative_residual": self._off,
+            "worst_rows": worst.tolist(),
+            "worst_rows_at_m": [self._place(row - first) for row in worst],
+            "worst_row_residuals": residual[worst - first].tolist(),
+            "matrix_doubted": self._wrong,
+            **self.solver.facts(),
+        }
+
+    def _place(self, row):
+        """Return where the velocity of a row of this rank is, m; None where it is no velocity."""
+        at, dim = np.flatnonzero(self.spaces.v_in_w == row), self.section.dim
+        if not len(at):
+            return None
+        return self.spaces.V.tabulate_dof_coordinates()[at[0] // dim, :dim].tolist()
+
+    @property
+    def lead(self):
+        """How far ahead the weight of the moved surface counts, s; see `stabilise`."""
+        return self._lead.value.item() if self.top else 0.0
+
+    @property
+    def analyses(self):
+        """How often the structure of the matrix was analysed, before it was factorised."""
+        return self.solver.analyses
+
+    def memory(self):
+        """Return what the solves to come depend on beside the matrix factorised last.
+
+        Returns:
+            A dict of numbers, and the last solutions: their times, velocities and scaled pressures.
+        """
+        past = []
+        for time, held in self._past.kept.items():
+            with held.localForm() as local:
+                x = local.array_r
+                parts = x[self.spaces.v_in_w], x[self.spaces.q_in_w]
+            past.append({"time": time, "u": parts[0].reshape(-1, self.section.dim), "p": parts[1]})
+        return {
+            "fell_back": self._fell_back,
+            "factor_time": self._factor_time,
+            "solver": self.solver.memory(),
+            "past": past,
+        }
+
+    def prepare(self, memory, analysed):
+        """Assemble and factorise the matrix of the fields and the mesh as they are now.
+
+        Args:
+            memory: of `memory`.
+            analysed: whether the matrix is analysed too.
+        """
+        if memory["fell_back"] and not self._fell_back:
+            self._fall_back()
+        if memory["solver"].get("careful"):
+            self.solver.rescale()
+        if analysed:
+            self.solver.analysed_anew(memory["solver"].get("_workspace"))
+        self.assemble()
+        self.solver.prepare()
+
+    def recall(self, memory):
+        """Go on as after the solve that `memory` followed; the matrix is that of the fields now.
+
+        The factors are those that `prepare` made.
+        """
+        if memory["solver"].get("_stale"):
+            self._assembler.assemble(self.bcs)
+        self.solver.recall(memory["solver"])
+        self._seen = self.solver.factorisations, self.solver.iterations
+        self._factor_time = memory["factor_time"]
+        for solution in memory["past"]:
+            with self.x.localForm() as local:
+                local.array_w[self.spaces.v_in_w] = solution["u"].ravel()
+                local.array_w[self.spaces.q_in_w] = solution["p"]
+            self._past.keep(solution["time"], self.x)
+
     def release(self):
         """Give the memory of matrix and factors back; the problem cannot be solved any more.
 
@@ -494,6 +588,7 @@ class StokesProblem:
             self._seen = self.solver.factorisations, self.solver.iterations
             if self._seen[0] > before[0]:
                 self._factor_time = self._time
+                self.factored()
             self.counts.factorisations += self._seen[0] - before[0]
             self.counts.krylov_iterations += self._seen[1] - before[1]
 

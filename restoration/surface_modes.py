@@ -119,13 +119,26 @@ class SurfaceModes:
     """
 
     def __init__(self, response, cut):
-        self.x, self._mass = response.grid.top.x.copy(), response.mass
-        count = len(self.x)
-        drop = np.empty((count, count))
-        for i, one in enumerate(np.eye(count)):
+        x, mass = response.grid.top.x.copy(), response.mass
+        drop = np.empty((len(x), len(x)))
+        for i, one in enumerate(np.eye(len(x))):
             drop[:, i] = -response.moments(response.flow(one))
-        self.rates, self._all = eigh((drop + drop.T) / 2, self._mass)
+        self._set(x, *eigh((drop + drop.T) / 2, mass), cut)
+
+    def _set(self, x, rates, shapes, cut):
+        self.x, self._mass, self.rates, self._all = x, hat_mass(x), rates, shapes
         self.slaved, self._shapes = self._above(cut)
+
+    def memory(self):
+        """Return nodes, rates and shapes of all modes, for a checkpoint."""
+        return {"x": self.x, "rates": self.rates, "shapes": self._all}
+
+    @classmethod
+    def recalled(cls, memory, cut):
+        """Return the modes that `memory` was asked of, with a cut as in the constructor."""
+        modes = cls.__new__(cls)
+        modes._set(*(memory[name] for name in ("x", "rates", "shapes")), cut)
+        return modes
 
     def _above(self, cut):
         chosen = self.rates > cut
@@ -199,6 +212,9 @@ class _Moment:
     rise: np.ndarray
 
 
+_MOMENT = tuple(_Moment.__dataclass_fields__)
+
+
 class Slaving:
     """Keeps the fast modes of a surface where they move with their equilibrium.
 
@@ -226,6 +242,29 @@ class Slaving:
         self.cut, self.modes = INTEGRABLE / time, None
         self._found = self._response = self._began = None
         self._steps, self._rate, self.last = 0, None, None
+
+    def memory(self):
+        """Return what the slaving remembers, for a checkpoint; see `recall`."""
+        last = self.last and {name: getattr(self.last, name) for name in _MOMENT}
+        rate = self._rate and dict(zip(("x", "heights"), self._rate, strict=True))
+        return {
+            "cut": self.cut,
+            "began": self._began,
+            "steps": self._steps,
+            "modes": self._found and self._found.memory(),
+            "rate": rate,
+            "last": last,
+        }
+
+    def recall(self, memory, grid):
+        """Go on from what `memory` returned, with the `Grid` of that moment."""
+        self.cut, self._began, self._steps = (memory[n] for n in ("cut", "began", "steps"))
+        self._rate = memory["rate"] and tuple(memory["rate"][name] for name in ("x", "heights"))
+        self.last = memory["last"] and _Moment(**memory["last"])
+        if memory["modes"]:
+            self._found = SurfaceModes.recalled(memory["modes"], self.cut)
+            self._response = SurfaceResponse(grid)
+            self.modes = self._found.at(grid.top.x)
 
     def look(self, grid):
         """Take the mesh of the flow solved last; find the modes where that is due.

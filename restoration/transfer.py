@@ -128,6 +128,27 @@ class RockFields:
         between = self._between(lines, hats, *cloud[1:]) if self._line_rock else None
         self.rho.x.array[:] = self._values(self.transfer.density, 0, hats, between, *cloud)
         self.theta.x.array[:] = self._values(self.transfer.viscosity, 1, hats, between, *cloud)
+        self._find_means()
+
+    def memory(self):
+        """Return the fields as they were filled last, and what the next filling may keep of it."""
+        return self.values() | {"hats": self._hats}
+
+    def recall(self, memory):
+        """Take the fields that `memory` returned."""
+        self.set_values(memory)
+        self._hats = memory["hats"]
+
+    def values(self):
+        """Return the values of the fields, by name."""
+        return {"rho": self.rho.x.array.copy(), "theta": self.theta.x.array.copy()}
+
+    def set_values(self, values):
+        """Take the values that `values` returned."""
+        self.rho.x.array[:], self.theta.x.array[:] = values["rho"], values["theta"]
+        self._find_means()
+
+    def _find_means(self):
         for values, means in self._cell_means.items():
             means.x.array[:] = cell_means(values)
 
@@ -341,6 +362,15 @@ class FittedFields:
         """Return what `RockFields.ranges` does."""
         low, high, *eta = self._ranges
         return ("density", self.rho, low, high), ("viscosity", self.eta, *eta)
+
+    def memory(self):
+        """Return nothing: the units of the cells, which decide all, are known to the grid."""
+        return {}
+
+    def recall(self, memory):
+        """Do nothing."""
+
+    values, set_values = memory, recall
 
     def density_means(self):
         """Return the density of every cell, shape (cells,), kg/m^3."""

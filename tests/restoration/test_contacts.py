@@ -110,7 +110,7 @@ def test_lines_of_another_state_get_a_mesh_of_their_own():
     state = engine.with_flow(engine.start())
     points = points_of(state.lines) + [0, 1500.0]
     unit = state.particles.unit * (state.particles.x[:, 1] > -6500).astype(np.int16)
-    engine._guard._areas = None
+    engine._guard.areas = None
     engine.with_flow(
         replace(
             state,
