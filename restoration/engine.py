@@ -222,8 +222,15 @@ class StokesEngine:
 
     def guard(self, state):
         """Raise where a state with its flow cannot be gone on from, see `StepGuards.look`."""
-        crossed = sum(self.entered.values()) - sum(self.left.values())
-        self._guards.look(state, self.born + crossed)
+        self._guards.look(state, self._arrived)
+
+    def watch(self, state):
+        """Take from a state with its flow what `guard` compares those after it with."""
+        self._guards.watch(state, self._arrived)
+
+    @property
+    def _arrived(self):
+        return self.born + sum(self.entered.values()) - sum(self.left.values())
 
     def facts(self):
         """Return what a developer asks of mesh, rock and matrix, numbers by name."""
@@ -232,7 +239,6 @@ class StokesEngine:
     def taken_over(self, state):
         """Return the state of another engine, on another mesh, as one of this."""
         index = self.grid.index
-        self._guards.begin()
         particles = relocate(self._nowhere(state.particles), index)
         return State(state.time, self.sharing.dealt(particles, index), state.lines)
 

@@ -32,11 +32,16 @@ class StepGuards:
 
     def __init__(self, scene, ranks, closed):
         self._scene, self._ranks, self._closed = scene, ranks, closed
-        self.begin()
-
-    def begin(self):
-        """Begin anew: with the next state, which may be of another mesh and another cloud."""
         self._area = self._expected = None
+
+    def watch(self, state, arrived=0):
+        """Take from a state what those after it are compared with; arguments as of `look`."""
+        self._area = self._area_of(state.grid)
+        self._expected = int(self._ranks.sum(np.array(len(state.particles.x)))) - arrived
+
+    @staticmethod
+    def _area_of(grid):
+        return float(grid.index.area[~grid.fields.in_air].sum())
 
     def memory(self):
         """Return what the next looks compare with."""
@@ -50,7 +55,7 @@ class StepGuards:
         """Raise where a state cannot be gone on from.
 
         Args:
-            state: `State` with its flow, after a step or at the start.
+            state: `State` with its flow, after a step.
             arrived: particles that were born or have come through walls so far, less those that
                 have left.
 
@@ -97,8 +102,6 @@ class StepGuards:
                 f"{lost} of {count} particles have left the section where nothing may, the first "
                 f"near {place(where)}; shorter steps (time.courant) or finer cells may help"
             )
-        if self._expected is None:
-            self._expected = count - arrived
         missing = self._expected + arrived - count
         if missing:
             raise ParticleError(
@@ -132,10 +135,7 @@ class StepGuards:
                 f"a cell is {1 / grid.thinnest:.1g} times as long as it is high, at most "
                 f"{1 / THINNEST:.0g} are possible; change mesh.cells or simplify the section"
             )
-        area = float(index.area[~grid.fields.in_air].sum())
-        if self._area is None:
-            self._area = area
-        drift = area / self._area - 1
+        drift = self._area_of(grid) / self._area - 1
         if self._closed and not abs(drift) <= MOST_AREA_DRIFT:
             raise MeshError(
                 f"the section has {'won' if drift > 0 else 'lost'} {abs(drift):.1e} of its area, "

@@ -47,7 +47,8 @@ def march(state, engine, plan, every_step=(), at_marks=(), stopping=None, at_res
 
     Args:
         state: `State` at the first mark, or where ``passed`` says.
-        engine: offers ``stable_step(state, mark)`` and what `retry.stepped` asks for.
+        engine: offers ``stable_step(state, mark)``, ``watch(state)`` and what `retry.stepped` asks
+            for.
         plan: `scene.TimePlan`.
         every_step: functions of the state before and after a step.
         at_marks: functions of the number of the mark and the state there, from the first mark on.
@@ -63,6 +64,7 @@ def march(state, engine, plan, every_step=(), at_marks=(), stopping=None, at_res
     stopping = stopping or Stopping()
     if passed is None:
         passed, state = 0, engine.with_flow(state)
+        engine.watch(state)
         stopping.begin(state)
         for task in (*at_marks, *at_rest):
             task(0, state)

@@ -144,7 +144,7 @@ class DirectSolver:
         self._spent, self._solves, self._last = 0.0, 1, 0.0  # in solves, since factorised
         self._failures, self._waits = 0, 0
         self.ksp = self._krylov = None
-        self.analyses, self.careful = 0, False
+        self.analyses, self.careful, self._infog = 0, False, 0
 
     def update(self, keep=False):
         """Take the matrix as it is now: factorise it at the next solve; the analysis is kept.
@@ -165,12 +165,16 @@ class DirectSolver:
         self.ksp.setOperators(self.A)
         self._changed, self._stale = True, False
 
+    def begin_anew(self):
+        """Let the matrix be analysed and factorised as if there had been none before."""
+        self._make()
+        self._changed, self._stale = True, False
+
     def rescale(self):
         """Let the matrix be factorised as `CAREFUL` has it, from the next solve on."""
         self.careful = True
         self.options |= CAREFUL
-        self._make()
-        self._changed, self._stale = True, False
+        self.begin_anew()
 
     @property
     def stale(self):
@@ -180,7 +184,7 @@ class DirectSolver:
     @property
     def singular(self):
         """Whether the last factorisation has found that the matrix is singular."""
-        return self.ksp is not None and _infog(self.ksp) in SINGULAR
+        return self._infog in SINGULAR
 
     def solve(self, b, x, guess=False, rtol=REUSE_RTOL):
         """Solve in place.
@@ -240,7 +244,7 @@ class DirectSolver:
                 self._spent, self._solves, self._last = self.cost, 1, 0.0
             self.ksp.solve(b, x)
             self._changed = False
-            infog = _infog(self.ksp)
+            infog = self._infog = _infog(self.ksp)
             if infog not in SMALL_WORKSPACE or self._workspace + 1 == len(WORKSPACE):
                 break
             self._workspace += 1
@@ -287,7 +291,7 @@ class DirectSolver:
         if self.ksp is None:
             return {}
         facts = {"petsc_reason": self.ksp.getConvergedReason(), "careful": self.careful}
-        if self.ksp.getPC().getFactorSolverType() == "mumps":
+        if self.factorisations and self.ksp.getPC().getFactorSolverType() == "mumps":
             factors = self.ksp.getPC().getFactorMatrix()
             told = {f"mumps_infog_{number}": factors.getMumpsInfog(number) for number in INFOG}
             facts |= told | {f"mumps_rinfog_{n}": factors.getMumpsRinfog(n) for n in RINFOG}
@@ -355,7 +359,7 @@ class FieldsplitSolver:
         """Let the blocks be set up anew at the next solve."""
         self._changed = True
 
-    rescale = refactor  # its blocks have no pivots to choose
+    begin_anew = rescale = refactor  # its blocks have no pivots to choose
 
     def _set_up(self):
         self._changed = False

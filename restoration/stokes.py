@@ -546,7 +546,8 @@ class StokesProblem:
     def _reassemble(self):
         self._assembled = False
         self.assemble()
-        self._solve_anew()
+        self.solver.begin_anew()
+        self._solve(self.b, self.x)
 
     def _rescale(self):
         self.solver.rescale()

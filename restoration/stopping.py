@@ -354,6 +354,7 @@ def _bare(state):
 def _marched(engine, state, until):
     """Return a state of before, marched to a time."""
     state = engine.with_flow(engine.taken_over(state))
+    engine.watch(state)
     while state.time != until:
         state = stepped(engine, state, until)
     return state

@@ -73,6 +73,9 @@ class PlainEngine:
     def recalled(self, memory):
         return memory
 
+    def watch(self, state):
+        pass
+
     def guard(self, state):
         pass
 
