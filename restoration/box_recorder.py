@@ -20,10 +20,11 @@ class BoxRecorder(Recorder):
         job: `run.Job`.
         folder: the run folder, made and empty.
         progress: `progress.Progress`, or None.
+        memory: as of a `Recorder`.
     """
 
-    def __init__(self, job, folder, progress=None):
-        super().__init__(job, folder, progress, BoxEngine)
+    def __init__(self, job, folder, progress=None, memory=None):
+        super().__init__(job, folder, progress, memory, BoxEngine)
         self.horizons = None
 
     def compare(self):
@@ -42,7 +43,7 @@ class BoxRecorder(Recorder):
     def _open_series(self):
         super()._open_series()
         names = [sheet.name for sheet in self.scene.sheets]
-        self.horizons = MeshSeries(self.folder / "horizons.xdmf", {"names": names})
+        self.horizons = MeshSeries(self.folder / "horizons.xdmf", {"names": names}, self._until)
 
     def _shots(self, states):
         befores = [None, *(state.time for state in states)]

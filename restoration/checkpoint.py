@@ -9,7 +9,6 @@ import hashlib
 import io
 import json
 from contextlib import suppress
-from dataclasses import dataclass
 from pathlib import Path
 
 import h5py
@@ -92,7 +91,6 @@ def _without_arrays(value, path, found):
     return value
 
 
-@dataclass(frozen=True)
 class Checkpoints:
     """The checkpoints of a run.
 
@@ -100,41 +98,31 @@ class Checkpoints:
         folder: where they are, made by `write`.
     """
 
-    folder: Path
+    def __init__(self, folder):
+        self.folder, self._written = Path(folder), set()
 
     def write(self, step, memory):
         """Write a checkpoint, durable when this returns, and remove all but the last ones.
 
         Args:
             step: number of the step that was made last; it is in the name.
-            memory: see `packed`.
+            memory: see `packed`. Its entry ``rock`` holds what does not change any more, by names
+                such as ``kept-0``: each is a file of its own, written once.
 
         Raises:
             OutputError: it could not be written.
         """
+        rock = memory["rock"]
+        for name in rock.keys() - self._written:
+            self._put(self.folder / f"{name}.h5", packed(rock[name]))
+            self._written.add(name)
         path = self.folder / f"step-{step:07d}.h5"
-        self._put(path, packed(memory))
+        self._put(path, packed(memory | {"rock": sorted(rock)}))
         latest = {"file": path.name, "step": step, "time_s": memory["time"]}
         write_text(self.folder / "latest.json", json.dumps(latest) + "\n", durable=True)
         for old in self._steps()[KEPT:]:
             with disk_faults(old):
                 old.unlink(missing_ok=True)
-
-    def keep(self, name, memory):
-        """Write what all later checkpoints refer to by a name, such as the rock at a mark.
-
-        Raises:
-            OutputError: it could not be written.
-        """
-        self._put(self.folder / f"{name}.h5", packed(memory))
-
-    def kept(self, name):
-        """Return what was kept under a name.
-
-        Raises:
-            CheckpointError: it is missing or damaged.
-        """
-        return _read(self.folder / f"{name}.h5")
 
     def newest(self):
         """Return the memory of the newest whole checkpoint, and notes on those that are not.
@@ -146,9 +134,9 @@ class Checkpoints:
         for path in self._steps():
             try:
                 memory = _read(path)
-                for name in memory.get("kept", []):
-                    self.kept(name)
-                return memory, notes
+                rock = {name: _read(self.folder / f"{name}.h5") for name in memory["rock"]}
+                self._written = set(rock)
+                return memory | {"rock": rock}, notes
             except CheckpointError as error:
                 notes.append(f"checkpoint {error}; an earlier one is taken")
         return None, notes

@@ -133,6 +133,17 @@ def _parser():
         action="store_true",
         help="go forward again from what was restored, on another mesh, and compare",
     )
+    run.add_argument(
+        "--checkpoint",
+        default="auto",
+        metavar="auto|off|N",
+        help="write checkpoints often, at small cost; never; or every N steps",
+    )
+    run.add_argument(
+        "--walltime",
+        metavar="TIME",
+        help="stop in time to have ended after, such as 23 h or 23:30:00; the same command goes on",
+    )
     run.add_argument("--quiet", action="store_true", help="no progress")
     run.add_argument(
         "--ranks", type=int, metavar="N", help="share the work among N processes of this machine"
@@ -190,8 +201,12 @@ def _run(options):
         )
     if options.ranks is not None and options.ranks != 1:
         return run_on_ranks(options.ranks, _without_ranks(options))
+    from restoration.keeper import how_often, wall_time
     from restoration.progress import Progress
     from restoration.run import Job, StopRequest, run_job
+
+    checkpoint = how_often(options.checkpoint)
+    walltime = None if options.walltime is None else wall_time(options.walltime)
 
     with StopRequest() as stop:  # already here: a Ctrl-C while a library loads would break it
         loaded = _load(options)
@@ -209,6 +224,8 @@ def _run(options):
             options.out,
             options.fresh,
             options.prove,
+            checkpoint,
+            walltime,
         )
         record, folder = run_job(job, None if options.quiet else Progress(), stop)
     if record is None:
@@ -221,7 +238,9 @@ def _run(options):
 def _without_ranks(options):
     """Return the arguments of a run but for ``--ranks``."""
     arguments = ["run", options.case, *(part for one in options.set for part in ("--set", one))]
-    arguments += ["--out", options.out] if options.out is not None else []
+    for name in ("out", "checkpoint", "walltime"):
+        given = getattr(options, name)
+        arguments += [f"--{name}", given] if given is not None else []
     flags = ("fresh", "prove", "quiet", "allow_outside")
     return arguments + [f"--{n.replace('_', '-')}" for n in flags if getattr(options, n)]
 

@@ -36,6 +36,7 @@ THINNED = 4  # one of so many particles is in the companions that tell growth
 PROBED = 3  # one of so many ways between instants is gone by the coarsest companion
 FINER = 0.8  # cells of the way forward again, in cells of the run
 OTHER = {"rk4": "midpoint", "euler": "midpoint", "paper": "midpoint"}  # schemes of that; else rk4
+NOTED = "steps", "ends", "_last_seen", "_instants", "_next"  # by a follower, beside states
 ON_SIDE = 1e-9  # of the width: this near to a side of the section is on it
 NEIGHBOURS = 6  # particles from which a displacement is read
 
@@ -80,6 +81,30 @@ class Follower:
     def done(self):
         """Whether the end of the way back was reached."""
         return bool(self.states) and self.states[-1].time == self.ends[1]
+
+    def memory(self, keep):
+        """Return what was kept so far, for a checkpoint; see `recall`.
+
+        Args:
+            keep: gives a state a name under which it is kept.
+        """
+        memory = {"states": [keep(state) for state in self.states]}
+        if self.states:
+            memory |= {name: getattr(self, name) for name in NOTED}
+        return memory
+
+    def recall(self, memory, kept):
+        """Go on from what `memory` returned.
+
+        Args:
+            memory: of `memory`.
+            kept: gives the state of a name.
+        """
+        self.states = [kept(name) for name in memory["states"]]
+        if self.states:
+            for name in NOTED:
+                setattr(self, name, memory[name])
+            self.ends = tuple(self.ends)
 
     def mark(self, number, state):
         """Begin at the mark of the given section."""

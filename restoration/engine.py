@@ -293,10 +293,7 @@ class StokesEngine:
             A dict of dicts, lists, numbers, texts and arrays; the same on all ranks.
         """
         flow = state.flow
-        return {
-            "time": state.time,
-            "particles": self.sharing.memory(state.particles),
-            "lines": self._memory_of_lines(state.lines),
+        return self.memory_of_rock(state) | {
             "flow": {"u": flow.u, "p": flow.p, "residual": flow.residual},
             "grid": self.grid.memory(),
             "surface": self.surface and self.surface.memory(),
@@ -326,7 +323,6 @@ class StokesEngine:
             self.grid.recall(memory["grid"], memory["time"])
             if self.surface:
                 self.surface.recall(memory["surface"], self.grid)
-        particles = self.sharing.recalled(memory["particles"], self.grid.index)
         self._guard.areas = memory["rock_areas"]
         self._guards.recall(memory["guards"])
         for name, value in memory["counts"].items():
@@ -336,8 +332,25 @@ class StokesEngine:
         self.left, self.entered = dict(memory["left"]), dict(memory["entered"])
         self._folded, self.notes = set(memory["folded"]), list(memory["notes"])
         self.seconds, self._last_flow = dict(memory["seconds"]), flow
+        state = self.rock_of(memory)
+        particles = self.sharing.dealt(state.particles, self.grid.index)
+        return replace(state, particles=particles, flow=flow, grid=self.grid)
+
+    def memory_of_rock(self, state):
+        """Return where the rock is in a state, as `memory` does; see `rock_of`."""
+        return {
+            "time": state.time,
+            "particles": self.sharing.memory(state.particles),
+            "lines": self._memory_of_lines(state.lines),
+        }
+
+    def rock_of(self, memory):
+        """Return the state, without flow and mesh, that `memory_of_rock` was asked of.
+
+        It can be taken over; on another number of ranks all have all particles.
+        """
         lines = self._lines_of_memory(memory["lines"])
-        return State(memory["time"], particles, lines, flow, self.grid)
+        return State(memory["time"], self.sharing.recalled(memory["particles"]), lines)
 
     def _recalled_grid(self, memory):
         """Return a grid as it was made, of the mesh that a memory tells of."""

@@ -72,6 +72,9 @@ COLUMNS = (
     "surface_modes_slaved",
     "wall_s",
 )
+# What a recorder counts, and what of its record is made on the way.
+COUNTED = "steps", "elapsed", "_output_s", "_volumes", "_framed", "_told", "_load", "_counts"
+CARRIED = "dynamic_topography_m", "resumed_after_steps"
 BUG = 1  # exit code of what is not a RestorationError
 
 
@@ -83,6 +86,7 @@ class Recorder:
         folder: the run folder, made and empty.
         progress: `progress.Progress`, or None.
         engine: makes the engine of a scene.
+        memory: of an earlier recorder of the same run, to go on from; None to begin.
 
     Attributes:
         engine: the engine, after `begin`.
@@ -90,8 +94,9 @@ class Recorder:
         stopping: `Stopping` of the march.
     """
 
-    def __init__(self, job, folder, progress=None, engine=StokesEngine):
+    def __init__(self, job, folder, progress=None, memory=None, engine=StokesEngine):
         self.job, self.scene, self.folder = job, job.scene, Path(folder)
+        self._memory = memory
         self.ranks = world()
         self.progress = progress if self.ranks.first else None
         self._make_engine = engine
@@ -99,6 +104,7 @@ class Recorder:
         self.steps, self.elapsed = 0, 0.0
         self._began, self._output_s = time.perf_counter(), 0.0
         self._marks, self._volumes = [], []  # states at the marks passed, and area by rock
+        self._kept = []  # states that checkpoints refer to, and their names
         self._last = None
         self._framed = -1.0  # elapsed time of the last frame
         self._told = 0  # notes of the engine
@@ -112,11 +118,18 @@ class Recorder:
             "case_sha256": job.sha256,
             "ranks": self.ranks.size,
             "seed": self.scene.particles.seed,
+            "resumed_after_steps": [],
         }
+        if memory:
+            self._began -= memory["wall_s"]
+            for name in COUNTED:
+                setattr(self, name, memory[name])
+            self.record |= memory["record"]
+            self.record["resumed_after_steps"] = [*self.record["resumed_after_steps"], self.steps]
 
     def _open_log(self):
         with disk_faults(self.folder / "log.txt"):
-            return (self.folder / "log.txt").open("w", encoding="utf-8")
+            return (self.folder / "log.txt").open("a" if self._memory else "w", encoding="utf-8")
 
     def _whole(self, state):
         """Return the state with the particles of all ranks."""
@@ -137,16 +150,64 @@ class Recorder:
             f"marks {', '.join(time_label(scene, mark) for mark in scene.time.marks)}"
         )
 
+    @property
+    def _until(self):
+        """Elapsed time up to which the series of an interrupted run are kept, s; None of none."""
+        return self._framed if self._memory else None
+
+    def start(self):
+        """Return the state that the run begins with, or goes on from."""
+        memory = self._memory
+        if not memory:
+            return self.engine.start()
+        states = {name: self.engine.rock_of(rock) for name, rock in memory["rock"].items()}
+        self._marks = [states[name] for name in memory["marks"]]
+        self._kept = [(state, name) for name, state in states.items()]
+        self.stopping.recall(memory["stopping"], self.engine.rock_of)
+        if self._follower:
+            self._follower.recall(memory["follower"], states.get)
+        self._last = self.engine.recalled(memory["engine"])
+        self.say(f"going on {self.reached()}")
+        return self._last
+
+    def memory(self, state):
+        """Return all that the run depends on from here on; collective.
+
+        Returns:
+            A dict for a checkpoint, whose entry ``rock`` holds states by name: those that are kept
+            for the end of the run, the same ones from now on.
+        """
+        engine = self.engine
+        memory = {
+            "time": state.time,
+            "engine": engine.memory(state),
+            "marks": [self._name_of(kept) for kept in self._marks],
+            "follower": self._follower and self._follower.memory(self._name_of),
+            "stopping": self.stopping.memory(engine.memory_of_rock),
+            "record": {n: self.record[n] for n in CARRIED if n in self.record},
+            "wall_s": time.perf_counter() - self._began,
+        }
+        memory |= {name: getattr(self, name) for name in COUNTED}
+        return memory | {"rock": {name: engine.memory_of_rock(s) for s, name in self._kept}}
+
+    def _name_of(self, state):
+        """Return the name of a state that is kept for the end of the run."""
+        for kept, name in self._kept:
+            if kept.particles is state.particles and kept.lines is state.lines:
+                return name
+        self._kept.append((state, f"kept-{len(self._kept)}"))
+        return self._kept[-1][1]
+
     def _open_series(self):
-        scene = self.scene
-        self.fields = MeshSeries(self.folder / "fields.xdmf")
+        scene, until = self.scene, self._until
+        self.fields = MeshSeries(self.folder / "fields.xdmf", until=until)
         frame = {
             "unit_names": [unit.name for unit in scene.units],
             "surface": scene.outline.surface,
             "base": scene.outline.base,
         }
-        self.cloud = ParticleSeries(self.folder / "particles.xdmf", frame)
-        self.table = Diagnostics(self.folder / "diagnostics.csv", COLUMNS)
+        self.cloud = ParticleSeries(self.folder / "particles.xdmf", frame, until)
+        self.table = Diagnostics(self.folder / "diagnostics.csv", COLUMNS, self.steps)
 
     def step(self, before, state):
         """Write the row of a step and, where the case asks for steps, a frame."""

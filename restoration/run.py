@@ -14,7 +14,9 @@ from dataclasses import dataclass
 from math import ceil
 from pathlib import Path
 
+from restoration.checkpoint import Checkpoints
 from restoration.errors import CaseError, OutputError, SolveError, StoppedError
+from restoration.keeper import Keeper, newest
 from restoration.launch import as_many_as_told
 from restoration.retry import stepped
 from restoration.stopping import Stopping
@@ -99,6 +101,8 @@ class Job:
         out: run folder; None for ``runs/<case>-<hash8>`` in the working folder.
         fresh: whether an earlier run in the folder is thrown away.
         prove: whether the restored section is moved forward again; no part of the case.
+        checkpoint: steps between two checkpoints, ``auto``, or None for none.
+        walltime: after which the run is to have ended, s; None for no matter.
     """
 
     path: Path
@@ -108,6 +112,8 @@ class Job:
     out: Path | None = None
     fresh: bool = False
     prove: bool = False
+    checkpoint: int | str | None = "auto"
+    walltime: float | None = None
 
     @property
     def sha256(self):
@@ -124,7 +130,7 @@ class Job:
 
 
 def prepare_folder(job):
-    """Make the run folder, or clear it of an earlier run of this tool.
+    """Make the run folder, or clear it of an earlier run of this tool that is not gone on with.
 
     Returns:
         The folder; None where a run of this very case has ended well in it already.
@@ -147,14 +153,20 @@ def prepare_folder(job):
                     )
             elif not job.fresh:
                 return None
-            _clear(folder)
-        for name in ("", "figures", "horizons"):
-            (folder / name).mkdir(parents=True, exist_ok=True)
-        (folder / "case.yaml").write_text(job.case_text, encoding="utf-8")
-        (folder / "resolved.yaml").write_text(job.resolved, encoding="utf-8")
+            if job.fresh or not any(folder.glob("checkpoints/step-*.h5")):
+                clear(folder)
+        _lay_out(job)
     except OSError as error:
         raise OutputError(f"{folder}: {error.strerror}; give another --out") from error
     return folder
+
+
+def _lay_out(job):
+    """Make the folders of a run, and write the case."""
+    for name in ("", "figures", "horizons"):
+        (job.folder / name).mkdir(parents=True, exist_ok=True)
+    (job.folder / "case.yaml").write_text(job.case_text, encoding="utf-8")
+    (job.folder / "resolved.yaml").write_text(job.resolved, encoding="utf-8")
 
 
 # What a run leaves in its folder.
@@ -179,6 +191,9 @@ RUN_FILES = (
     "failure/facts.json",
     "failure/state.h5",
     "horizons/[0-9]*-*.geojson",
+    "checkpoints/step-*.h5",
+    "checkpoints/kept-*.h5",
+    "checkpoints/latest.json",
 )
 
 
@@ -198,7 +213,7 @@ def _proved(folder):
     return bool(json.loads((folder / "run.json").read_text()).get("proof"))
 
 
-def _clear(folder):
+def clear(folder):
     """Remove what a run leaves, and nothing else."""
     for pattern in RUN_FILES:
         for path in folder.glob(pattern):
@@ -248,15 +263,24 @@ class StopRequest:
         self.wanted = True
 
 
-def _recorder(job, folder, progress):
+def _recorder(job, folder, progress, memory):
     """Return what writes the run folder; it loads dolfinx, which only a run needs."""
     if job.scene.dim == 3:
         from restoration.box_recorder import BoxRecorder
 
-        return BoxRecorder(job, folder, progress)
+        return BoxRecorder(job, folder, progress, memory)
     from restoration.recorder import Recorder
 
-    return Recorder(job, folder, progress)
+    return Recorder(job, folder, progress, memory)
+
+
+def _went_before(job, checkpoints):
+    """Return the memory that a job goes on from, or None, and notes on it."""
+    memory, notes = newest(checkpoints, job)
+    if memory is None:
+        clear(job.folder)
+        _lay_out(job)
+    return memory, notes
 
 
 def run_job(job, progress=None, stop=None):
@@ -294,26 +318,41 @@ def run_job(job, progress=None, stop=None):
                 )
             return None, job.folder
         check()
-        recorder = _recorder(job, folder, progress)
+        checkpoints = Checkpoints(folder / "checkpoints")
+        memory, notes = ranks.same(ranks.alone(_went_before, job, checkpoints))
+        recorder = _recorder(job, folder, progress, memory)
+        kept = checkpoints if job.checkpoint else None
+        keeper = Keeper(recorder, kept, job.checkpoint, job.walltime, lambda: stop.wanted)
         try:
+            for note in notes:
+                recorder.say(note)
             recorder.begin()
             check()
             march(
-                recorder.engine.start(),
+                recorder.start(),
                 recorder.engine,
                 job.scene.time,
-                every_step=(recorder.step, check),
-                at_marks=(recorder.mark, check),
+                every_step=(recorder.step,),
+                at_marks=(recorder.mark,),
                 stopping=recorder.stopping,
+                at_rest=(keeper,),
+                passed=memory and memory["passed"],
             )
             recorder.compare()
-            recorder.certify(march, check)
+            recorder.certify(march, keeper.check)
             if job.prove:
-                recorder.prove(march, check)
+                recorder.prove(march, keeper.check)
         except StoppedError as stopped:
             recorder.end(stopped)
-            raise StoppedError(f"stopped on request {recorder.reached()}; see {folder}") from None
+            raise StoppedError(f"stopped on request {recorder.reached()}; {_later(kept)}") from None
         except BaseException as error:
             recorder.end(error)
             raise
-        return recorder.end(), folder
+        record = recorder.end()
+        ranks.alone(checkpoints.clear)
+        return record, folder
+
+
+def _later(checkpoints):
+    """Return what becomes of a run that was stopped."""
+    return "the same command goes on from here" if checkpoints else "it begins anew"

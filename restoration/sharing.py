@@ -50,9 +50,9 @@ class Sharing:
         Args:
             particles: `Particles` of this rank.
         """
-        ranks, own = self._ranks, particles.number
-        memory = {name: getattr(self.whole(particles), name) for name in CLOUD}
-        if not ranks.several:
+        ranks, own, whole = self._ranks, particles.number, self.whole(particles)
+        memory = {name: getattr(whole, name) for name in CLOUD}
+        if own is None:
             return memory
         numbers = ranks.rows(own)
         order = np.argsort(numbers)
@@ -66,18 +66,17 @@ class Sharing:
             "load": self.load,
         }
 
-    def recalled(self, memory, index):
-        """Return the particles of this rank of a cloud that `memory` returned.
+    def recalled(self, memory):
+        """Return the particles that `memory` returned.
 
-        On as many ranks as then every one gets what it had.
+        On as many ranks as then every one gets what it had, else all get the whole cloud.
 
         Args:
             memory: of `memory`, the same on all ranks.
-            index: `CellIndex` that the particles are located in.
         """
         particles = Particles(**{name: memory[name] for name in CLOUD})
         if not self._ranks.several or memory.get("ranks") != self._ranks.size:
-            return self.dealt(particles, index)
+            return particles
         self._owner, self._next_number = memory["owner"], memory["next_number"]
         self.load = memory["load"]
         particles = replace(particles, number=memory["number"])

@@ -28,6 +28,7 @@ MOST_TRIALS = 6  # of landing there; each comes nearer by orders of magnitude, d
 RISEN, STEPS_PAST = 1.2, 4
 UPRIGHT = 1e-9  # that a line counts by its length too, so that an upright one counts at all
 ALL, SURFACE = "all", "surface"
+NOTED = "over", "history", "time", "value", "_least"  # of a march, beside states
 
 
 def flatness(surfaces):
@@ -231,6 +232,27 @@ class Stopping:
         self.plan, self._end = (plan.stop, plan.marks[-1]) if plan else (None, None)
         self.over, self.history, self.time, self.value = False, [], None, None
         self._least, self._near = 0, ()  # row of the history; the states up to that one
+
+    def memory(self, memory_of_rock):
+        """Return what was noted so far, for a checkpoint; see `recall`.
+
+        Args:
+            memory_of_rock: of a state, such as that of the engine.
+        """
+        noted = {name: getattr(self, name) for name in NOTED}
+        return noted | {"near": [memory_of_rock(state) for state in self._near]}
+
+    def recall(self, memory, rock_of):
+        """Go on from what `memory` returned.
+
+        Args:
+            memory: of `memory`.
+            rock_of: gives a state back.
+        """
+        for name in NOTED:
+            setattr(self, name, memory[name])
+        self.history = [tuple(row) for row in self.history]
+        self._near = tuple(rock_of(state) for state in memory["near"])
 
     def begin(self, state):
         """Note the state at the first mark."""

@@ -105,6 +105,7 @@ ORDER = {
         "progress",
         "recorder",
         "box_recorder",
+        "keeper",
         "run",
         "forecast",
         "measured",
