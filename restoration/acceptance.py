@@ -5,8 +5,6 @@ whether every rank has the values of its neighbours, it cannot tell: the diverge
 found does, and two products of the matrix with known vectors.
 """
 
-from contextlib import contextmanager
-
 import numpy as np
 import ufl
 from dolfinx import fem
@@ -54,26 +52,33 @@ def climbed(rungs, doubt):
     raise SolveError(f"the Stokes solve failed ({met}); {advice or CONTRAST}")
 
 
-@contextmanager
-def complete(vector):
-    """Raise unless what is added to a vector by its ranks inside arrives where it belongs.
+def add_up(vector):
+    """Add what the ranks have of a vector for others where it belongs; collective.
 
     Args:
-        vector: PETSc vector with ghosts, whose contributions to other ranks are still in them.
+        vector: PETSc vector with ghosts.
 
     Raises:
         SolveError: the sum over all ranks is another afterwards.
     """
     comm = vector.comm.tompi4py()
-    if comm.size == 1:
-        yield
-        return
     with vector.localForm() as local:
         parts = np.array([local.array_r.sum(), np.abs(local.array_r).sum()])
-    yield
+    _send(vector, PETSc.InsertMode.ADD, PETSc.ScatterMode.REVERSE)
+    if comm.size == 1:
+        return
     total, size = comm.allreduce(parts, op=MPI.SUM)
     if not abs(vector.sum() - total) <= SAME * size:
         raise SolveError("the load is not what the ranks have made of it; check the MPI of dolfinx")
+
+
+def tell(vector):
+    """Let the ranks know what others have of a vector; collective."""
+    _send(vector, PETSc.InsertMode.INSERT, PETSc.ScatterMode.FORWARD)
+
+
+def _send(vector, how, way):
+    vector.ghostUpdate(addv=how, mode=way)
 
 
 class Divergence:

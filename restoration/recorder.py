@@ -318,7 +318,7 @@ class Recorder:
         with suppress(OutputError):
             write_json(folder / "facts.json", about | (error.facts or {}))
             if error.memory is not None:
-                Checkpoints(folder).keep("state", error.memory)
+                Checkpoints(folder).write(self.steps, error.memory | {"rock": {}})
             error.args = (f"{error}; what a developer needs is in {folder}",)
 
     def _close(self, error):

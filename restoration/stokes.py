@@ -17,8 +17,9 @@ from restoration.acceptance import (
     MOST_DIVERGENCE,
     Divergence,
     Probe,
+    add_up,
     climbed,
-    complete,
+    tell,
 )
 from restoration.assembly import assembler
 from restoration.blocks import Blocks
@@ -335,7 +336,7 @@ class StokesProblem:
         with self.b.localForm() as local:
             local.set(0)
         fem.petsc.assemble_vector(self.b, self._column_load)
-        self.b.ghostUpdate(addv=PETSc.InsertMode.ADD, mode=PETSc.ScatterMode.REVERSE)
+        add_up(self.b)
         for condition in self.bcs:  # what is held stays so
             dofs, owned = condition.dof_indices()
             self.b.array_w[dofs[:owned]] = 0
@@ -356,8 +357,7 @@ class StokesProblem:
             local.set(0)
         fem.petsc.assemble_vector(self.b, self.load)
         fem.petsc.apply_lifting(self.b, [self.a], [self.bcs])
-        with complete(self.b):
-            self.b.ghostUpdate(addv=PETSc.InsertMode.ADD, mode=PETSc.ScatterMode.REVERSE)
+        add_up(self.b)
         fem.petsc.set_bc(self.b, self.bcs)
         if self._null_space is not None:
             self._null_space.remove(self.b)
@@ -574,7 +574,7 @@ class StokesProblem:
 
     def _velocity(self):
         """Return the velocity in ``x`` at the nodes of this rank and its ghosts, a copy."""
-        self.x.ghostUpdate(addv=PETSc.InsertMode.INSERT, mode=PETSc.ScatterMode.FORWARD)
+        tell(self.x)
         with self.x.localForm() as local:
             return local.array_r[self.spaces.v_in_w].reshape(-1, self.section.dim).copy()
 

@@ -4,24 +4,31 @@ A fault strikes at one call of a method, at some calls, or at all of them. What 
 solver makes good leaves the answer as it was; what takes a shorter step leaves it near.
 """
 
+import csv
 import errno
+import json
 from dataclasses import dataclass, replace
+from pathlib import Path
 
+import h5py
 import numpy as np
 import pytest
 
-from restoration import assembly, engine, solvers, stokes
+from restoration import assembly, engine, output, solvers, stokes
+from restoration.checkpoint import Checkpoints
 from restoration.errors import (
     MeshError,
+    OutputError,
     ParticleError,
     RestorationError,
     SolveError,
 )
 from restoration.grid import Grid
 from restoration.particles import OUTSIDE
-from restoration.run import march
-from restoration.scene import TimePlan
+from restoration.run import Job, march, run_job
+from restoration.scene import OutputPlan, SolverPlan, TimePlan
 from tests.restoration.conftest import HEIGHT, MYR, diapir_scene
+from tests.test_mpi import ROOT, on_ranks
 from tests.torture import tries
 
 SAME = 1e-9 * HEIGHT  # m, between answers that are the same
@@ -336,3 +343,99 @@ def test_a_fault_is_made_good_or_told(name, by, monkeypatch, sound):
     assert all(strike.struck for strike in strikes)
     assert meets(x, error, end, sound), error
     assert error is None or "\n" not in str(error)
+
+
+@pytest.mark.slow
+def test_ranks_that_do_not_hear_of_each_other_are_told():
+    found = on_ranks(ROOT / "tests" / "mpi_faults.py", 2)
+    assert found["none"] == ["solved"]
+    assert "the load is not what the ranks have made of it" in found["load"][0]
+    assert "relative divergence" in found["solution"][0]
+    assert all(len(texts) == 1 for texts in found.values())  # all ranks say the same
+
+
+def split(**options):
+    """A scene that is solved by the field split."""
+    options = tuple((name, str(value)) for name, value in options.items())
+    return scene(solver=SolverPlan("fieldsplit", options))
+
+
+def test_a_field_split_that_stagnates_is_told():
+    _, error = ended(split(ksp_max_it=2))
+    assert error.exit_code == SolveError.exit_code
+    assert "solver: {name: direct}" in str(error)
+
+
+def test_a_field_split_that_stagnates_gives_way(monkeypatch, sound):
+    monkeypatch.setattr(solvers, "FIELDSPLIT_FROM", {2: 0, 3: 0})
+    monkeypatch.setitem(solvers.FIELDSPLIT, "ksp_max_it", 2)
+    x, error = ended(scene())
+    assert meets(x, error, "same", sound), error
+
+
+def test_a_fault_in_the_direct_solver_that_a_field_split_gives_way_to(monkeypatch, sound):
+    monkeypatch.setattr(solvers, "FIELDSPLIT_FROM", {2: 0, 3: 0})
+    monkeypatch.setitem(solvers.FIELDSPLIT, "ksp_max_it", 2)
+    strike = solved(lambda x, _: x.set(0))
+    strike.arm(monkeypatch)
+    x, error = ended(scene())
+    assert strike.struck
+    assert meets(x, error, "same", sound), error
+
+
+def job(folder, **plans):
+    return Job(Path("x/case.yaml"), "title: x\n", "resolved: 1\n", scene(**plans), folder / "run")
+
+
+def test_a_run_that_fails_for_good_leaves_what_a_developer_needs(tmp_path, monkeypatch):
+    advanced(lost, calls=range(2, 10**9)).arm(monkeypatch)
+    with pytest.raises(ParticleError, match="x = -5 m and z = -50 m") as caught:
+        run_job(job(tmp_path))
+    folder = tmp_path / "run"
+    assert str(folder / "failure") in str(caught.value)
+    facts = json.loads((folder / "failure" / "facts.json").read_text())
+    assert facts["mumps_infog_1"] == 0
+    assert facts["steps"] == 1
+    assert facts["viscosity_Pa_s"] == pytest.approx([1e19, 1e21], rel=1e-2)
+    assert len(facts["worst_rows_at_m"]) == len(facts["worst_rows"]) == stokes.WORST_ROWS
+    memory, _ = Checkpoints(folder / "failure").newest()
+    made = engine.StokesEngine(scene())
+    state = made.recalled(memory)
+    assert state.time == pytest.approx(0.1 * MYR)
+    assert sum(path.stat().st_size for path in (folder / "failure").iterdir()) < 3e6
+    assert json.loads((folder / "run.json").read_text())["exit_code"] == MeshError.exit_code
+
+
+def test_a_step_taken_anew_is_noted(tmp_path, monkeypatch):
+    advanced(positions, calls={1, 2}).arm(monkeypatch)
+    record, folder = run_job(job(tmp_path))
+    assert record["steps_retried"] == 2
+    rows = list(csv.DictReader((folder / "diagnostics.csv").read_text().splitlines()))
+    assert [row["steps_retried"] for row in rows][:2] == ["2", "2"]
+    lengths = [float(row["dt_kyr"]) for row in rows]
+    assert lengths[:3] == pytest.approx([25, 275 / 6, 275 / 3.6])  # equal ones to the mark, longer
+    assert sum(lengths) == pytest.approx(300)
+    log = (folder / "log.txt").read_text()
+    assert "a step of 100 kyr has failed: 1 of " in log
+    assert "a step of 50 kyr has failed" in log
+
+
+def test_nothing_is_written_of_a_state_that_is_not_finite(tmp_path, monkeypatch):
+    Strike(stokes.StokesProblem, "solve", flow_of("p"), range(4, 10**9)).arm(monkeypatch)
+    with pytest.raises(SolveError, match="the pressure at 1 of"):
+        run_job(job(tmp_path, output=OutputPlan(1, ("pressure",), True, False, 1.0)))
+    with h5py.File(tmp_path / "run" / "fields.h5", "r") as h5:
+        frames = [group["point/pressure"][()] for group in h5["frames"].values()]
+    assert len(frames) == 2  # the first mark and the first step
+    assert np.isfinite(frames).all()
+
+
+def test_a_full_disk_in_a_step_is_told(tmp_path, monkeypatch):
+    def full(*_):
+        raise FULL
+
+    Strike(output, "_write_rows", full, {3}, instead=True).arm(monkeypatch)
+    with pytest.raises(OutputError, match="the disk is full") as caught:
+        run_job(job(tmp_path))
+    assert caught.value.exit_code == DISK
+    assert len((tmp_path / "run" / "diagnostics.csv").read_text().splitlines()) == 2
