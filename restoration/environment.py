@@ -210,6 +210,37 @@ def use_numba_cache():
         os.environ.setdefault("NUMBA_CACHE_DIR", str(jit_cache("numba")))
 
 
+# Bytes that OpenBLAS asks for at once and for each thread, and more; side of a matrix that is large
+# enough for all threads to take part.
+BLAS_BUFFER, BLAS_BLOCK = 140_000_000, 512
+
+
+def take_early():
+    """Take what numba and OpenBLAS wait for without end, were it refused to them later.
+
+    That is memory for the buffers of OpenBLAS, and the threads of numba.
+
+    Raises:
+        MemoryError: there is no memory for the buffers.
+        RuntimeError: a thread cannot be started.
+    """
+    import threading
+
+    import numba
+    import numpy as np
+
+    np.empty(BLAS_BUFFER * numba.config.NUMBA_NUM_THREADS, np.uint8)
+    square = np.ones((BLAS_BLOCK, BLAS_BLOCK))
+    square @ square
+    together = threading.Event()
+    try:
+        for _ in range(numba.config.NUMBA_NUM_THREADS):
+            threading.Thread(target=together.wait, daemon=True).start()
+    finally:
+        together.set()
+    numba.get_num_threads()
+
+
 _locks = {}
 
 

@@ -27,6 +27,8 @@ from restoration.errors import (
     RestorationError,
     SolveError,
     StoppedError,
+    TooLargeError,
+    out_of_memory,
 )
 from restoration.figures import draw_flatness, draw_section, draw_strip, draw_there_and_back
 from restoration.layered import restorable
@@ -292,6 +294,7 @@ class Recorder:
             code = 0
         else:
             code = error.exit_code if isinstance(error, RestorationError) else BUG
+            code = TooLargeError.exit_code if out_of_memory(error) else code
         if error is not None and code in (SolveError.exit_code, MeshError.exit_code):
             self._dump(error)
         if code in (SolveError.exit_code, MeshError.exit_code) and self._follower:
