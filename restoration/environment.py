@@ -213,15 +213,17 @@ def use_numba_cache():
 # Bytes that OpenBLAS asks for at once and for each thread, and more; side of a matrix that is large
 # enough for all threads to take part.
 BLAS_BUFFER, BLAS_BLOCK = 140_000_000, 512
+LEAST_MEMORY = 450_000_000  # bytes that the smallest run needs beside these, from its start on
 
 
 def take_early():
-    """Take what numba and OpenBLAS wait for without end, were it refused to them later.
+    """Take what libraries wait for without end, or give up without a word, were it refused later.
 
-    That is memory for the buffers of OpenBLAS, and the threads of numba.
+    That is memory for the buffers of OpenBLAS, and the threads of numba and of MPI. Nothing can be
+    told any more once one of these is refused, so the least that a run needs is asked for here.
 
     Raises:
-        MemoryError: there is no memory for the buffers.
+        MemoryError: there is less.
         RuntimeError: a thread cannot be started.
     """
     import threading
@@ -229,7 +231,7 @@ def take_early():
     import numba
     import numpy as np
 
-    np.empty(BLAS_BUFFER * numba.config.NUMBA_NUM_THREADS, np.uint8)
+    np.empty(LEAST_MEMORY + BLAS_BUFFER * numba.config.NUMBA_NUM_THREADS, np.uint8)
     square = np.ones((BLAS_BLOCK, BLAS_BLOCK))
     square @ square
     together = threading.Event()
@@ -239,6 +241,7 @@ def take_early():
     finally:
         together.set()
     numba.get_num_threads()
+    import mpi4py.MPI  # noqa: F401
 
 
 _locks = {}

@@ -20,7 +20,7 @@ from tests.torture import tries
 
 KB = 1024
 ENOUGH = 8_000  # kB, more than the run leaves
-SIZES = np.unique(np.geomspace(64, 3000, tries(12, 200)).astype(int))
+SIZES = np.unique(np.geomspace(64, 3000, tries(12, 200)).astype(int)).tolist()
 
 
 @contextmanager
