@@ -21,6 +21,7 @@ from restoration.launch import as_many_as_told
 from restoration.retry import stepped
 from restoration.stopping import Stopping
 from restoration.units import show
+from restoration.writing import write_text
 
 STOPPING = signal.SIGINT, signal.SIGTERM, signal.SIGUSR1
 ROUNDING = 1e-9  # of a number of steps, which is a quotient of times
@@ -141,7 +142,7 @@ def prepare_folder(job):
     """
     folder = job.folder
     try:
-        if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+        if folder.exists() and not (folder.is_dir() and _hardly_begun(folder)):
             earlier = _earlier(folder)
             if earlier is None:
                 raise CaseError(f"{folder}: is not a run folder and not empty; give another --out")
@@ -163,16 +164,23 @@ def prepare_folder(job):
 
 def _lay_out(job):
     """Make the folders of a run, and write the case."""
-    for name in ("", "figures", "horizons"):
-        (job.folder / name).mkdir(parents=True, exist_ok=True)
-    (job.folder / "case.yaml").write_text(job.case_text, encoding="utf-8")
-    (job.folder / "resolved.yaml").write_text(job.resolved, encoding="utf-8")
+    write_text(job.folder / "resolved.yaml", job.resolved)  # the first one: see `_hardly_begun`
+    write_text(job.folder / "case.yaml", job.case_text)
+    for name in ("figures", "horizons"):
+        (job.folder / name).mkdir(exist_ok=True)
 
 
-# What a run leaves in its folder.
+def _hardly_begun(folder):
+    """Return whether a folder is empty, or was when a run that was cut short began in it."""
+    return {path.name for path in folder.iterdir()} <= {
+        ".resolved.yaml.tmp",
+        "resolved.yaml",
+        ".case.yaml.tmp",
+    }
+
+
+# What a run leaves in its folder, beside the case: by that a folder is known.
 RUN_FILES = (
-    "case.yaml",
-    "resolved.yaml",
     "run.json",
     "diagnostics.csv",
     "log.txt",
@@ -278,9 +286,8 @@ def _recorder(job, folder, progress, memory):
 def _went_before(job, checkpoints):
     """Return the memory that a job goes on from, or None, and notes on it."""
     memory, notes = newest(checkpoints, job)
-    if memory is None:
+    if memory is None and notes:
         clear(job.folder)
-        _lay_out(job)
     return memory, notes
 
 
