@@ -10,8 +10,19 @@ from contextlib import ExitStack, redirect_stderr, redirect_stdout
 from pathlib import Path
 
 from restoration import __version__
-from restoration.environment import check_environment, use_jit_cache, use_numba_cache
-from restoration.errors import CaseError, RestorationError
+from restoration.environment import (
+    check_environment,
+    take_early,
+    use_jit_cache,
+    use_numba_cache,
+)
+from restoration.errors import (
+    TOO_LARGE,
+    CaseError,
+    RestorationError,
+    TooLargeError,
+    out_of_memory,
+)
 from restoration.launch import begin_together, end_together, rank_and_size, run_on_ranks
 
 BUG = 1  # exit code of what should not happen
@@ -52,9 +63,12 @@ def _commanded(options, rank, size):
     except (RestorationError, KeyboardInterrupt, MemoryError, OSError) as error:
         code, text = _told(error)
     except Exception as error:
-        if size == 1:
+        if out_of_memory(error):
+            code, text = _told(error)
+        elif size == 1:
             raise
-        code, text = BUG, "".join(traceback.format_exception(error))
+        else:
+            code, text = BUG, "".join(traceback.format_exception(error))
     if text and rank == 0:
         print(text, file=sys.stderr, flush=True)
     if size > 1:
@@ -70,13 +84,14 @@ def _only_runs(options):
 
 def _told(error):
     """Return the exit code of an error, and what to tell of it."""
+    if out_of_memory(error):
+        told = isinstance(error, TooLargeError)
+        return TooLargeError.exit_code, str(error) if told else TOO_LARGE
     match error:
         case RestorationError():
             return error.exit_code, str(error)
         case KeyboardInterrupt():
             return 130, "stopped at once"
-        case MemoryError():
-            return 6, "out of memory; lower mesh.cells or particles.per_cell"
         case BrokenPipeError():  # the reader of our output has gone: `restore check ... | head`
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
             return 1, ""
@@ -216,6 +231,7 @@ def _run(options):
     checkpoint = how_often(options.checkpoint)
     walltime = None if options.walltime is None else wall_time(options.walltime)
 
+    take_early()
     with StopRequest() as stop:  # already here: a Ctrl-C while a library loads would break it
         loaded = _load(options)
         if options.prove:

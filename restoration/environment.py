@@ -377,6 +377,40 @@ def use_numba_cache():
         os.environ.setdefault("NUMBA_CACHE_DIR", str(jit_cache("numba")))
 
 
+# Bytes that OpenBLAS asks for at once and for each thread, and more; side of a matrix that is large
+# enough for all threads to take part.
+BLAS_BUFFER, BLAS_BLOCK = 140_000_000, 512
+LEAST_MEMORY = 450_000_000  # bytes that the smallest run needs beside these, from its start on
+
+
+def take_early():
+    """Take what libraries wait for without end, or give up without a word, were it refused later.
+
+    That is memory for the buffers of OpenBLAS, and the threads of numba and of MPI. Nothing can be
+    told any more once one of these is refused, so the least that a run needs is asked for here.
+
+    Raises:
+        MemoryError: there is less.
+        RuntimeError: a thread cannot be started.
+    """
+    import threading
+
+    import numba
+    import numpy as np
+
+    np.empty(LEAST_MEMORY + BLAS_BUFFER * numba.config.NUMBA_NUM_THREADS, np.uint8)
+    square = np.ones((BLAS_BLOCK, BLAS_BLOCK))
+    square @ square
+    together = threading.Event()
+    try:
+        for _ in range(numba.config.NUMBA_NUM_THREADS):
+            threading.Thread(target=together.wait, daemon=True).start()
+    finally:
+        together.set()
+    numba.get_num_threads()
+    import mpi4py.MPI  # noqa: F401
+
+
 _locks = {}
 
 

@@ -19,6 +19,7 @@ from restoration.checkpoint import Checkpoints
 from restoration.errors import CaseError, OutputError, SolveError, StoppedError
 from restoration.keeper import Keeper, newest
 from restoration.launch import as_many_as_told
+from restoration.retry import stepped
 from restoration.stopping import Stopping
 from restoration.units import show
 from restoration.writing import write_text
@@ -50,8 +51,8 @@ def march(state, engine, plan, every_step=(), at_marks=(), stopping=None, at_res
 
     Args:
         state: `State` at the first mark, or where ``passed`` says.
-        engine: offers ``with_flow(state)``, ``stable_step(state, mark)`` and
-            ``advance(state, until)``.
+        engine: offers ``stable_step(state, mark)``, ``watch(state)`` and what `retry.stepped` asks
+            for.
         plan: `scene.TimePlan`.
         every_step: functions of the state before and after a step.
         at_marks: functions of the number of the mark and the state there, from the first mark on.
@@ -67,6 +68,7 @@ def march(state, engine, plan, every_step=(), at_marks=(), stopping=None, at_res
     stopping = stopping or Stopping()
     if passed is None:
         passed, state = 0, engine.with_flow(state)
+        engine.watch(state)
         stopping.begin(state)
         for task in (*at_marks, *at_rest):
             task(0, state)
@@ -77,7 +79,7 @@ def march(state, engine, plan, every_step=(), at_marks=(), stopping=None, at_res
         while state.time != mark and not stopping.over:
             before = state
             until = next_time(state.time, mark, min(engine.stable_step(state, mark), longest))
-            state = engine.with_flow(engine.advance(state, until))
+            state = stepped(engine, before, until)
             state = stopping.landed(engine, before, state)
             for task in every_step:
                 task(before, state)
@@ -195,6 +197,9 @@ RUN_FILES = (
     "figures/certificate.png",
     "certificate.md",
     "figures/flatness.png",
+    "failure/facts.json",
+    "failure/step-*.h5",
+    "failure/latest.json",
     "horizons/[0-9]*-*.geojson",
     "checkpoints/step-*.h5",
     "checkpoints/kept-*.h5",

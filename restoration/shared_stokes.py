@@ -243,6 +243,10 @@ class SharedStokes:
         past = [x | {"u": x["u"][velocity], "p": x["p"][pressure]} for x in memory["past"]]
         self._problem.recall(memory | {"past": past})
 
+    def facts(self):
+        """Return what `StokesProblem.facts` does."""
+        return self._problem.facts()
+
     def release(self):
         """Give the memory of matrix and factors back."""
         self._problem.release()
