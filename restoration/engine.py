@@ -284,7 +284,7 @@ class StokesEngine:
         known = {"particles": particles, "points": points, "bands": dict(bands)}
         return partial(units_of_regions, **known, scene=self.scene, ranks=self.ranks)
 
-    def memory(self, state):
+    def memory(self, state, gather=True):
         """Return all that the run depends on from a state on, for a checkpoint or another trial.
 
         What is rebuilt from it by `recalled` goes on bit for bit as this engine does. The arrays
@@ -292,12 +292,14 @@ class StokesEngine:
 
         Args:
             state: with its flow, the one solved for last.
+            gather: whether the particles of all ranks are gathered, as a file asks for; else every
+                rank holds its own, and `gathered` makes up for it.
 
         Returns:
             A dict of dicts, lists, numbers, texts and arrays; the same on all ranks.
         """
         flow = state.flow
-        return self.memory_of_rock(state) | {
+        return self.memory_of_rock(state, gather) | {
             "flow": {"u": flow.u, "p": flow.p, "residual": flow.residual},
             "grid": self.grid.memory(),
             "surface": self.surface and self.surface.memory(),
@@ -340,11 +342,17 @@ class StokesEngine:
         particles = self.sharing.dealt(state.particles, self.grid.index)
         return replace(state, particles=particles, flow=flow, grid=self.grid)
 
-    def memory_of_rock(self, state):
+    def gathered(self, memory):
+        """Return a memory with the particles of all ranks."""
+        particles = memory["particles"]["held"]
+        return memory | {"particles": self.sharing.memory(particles)}
+
+    def memory_of_rock(self, state, gather=True):
         """Return where the rock is in a state, as `memory` does; see `rock_of`."""
+        particles = self.sharing.memory if gather else self.sharing.held
         return {
             "time": state.time,
-            "particles": self.sharing.memory(state.particles),
+            "particles": particles(state.particles),
             "lines": self._memory_of_lines(state.lines),
         }
 
