@@ -1,5 +1,6 @@
 """What a run tells its user while it works."""
 
+import io
 import sys
 import time
 
@@ -26,16 +27,22 @@ class Progress:
             return
         self._last = now
         if self.terminal:
-            self.stream.write("\r" + line.ljust(self._width))
+            self._put("\r" + line.ljust(self._width))
             self._width = len(line)
         else:
-            self.stream.write(line + "\n")
-        self.stream.flush()
+            self._put(line + "\n")
 
     def say(self, line):
         """Print a line that stays."""
         if self.terminal and self._width:
-            self.stream.write("\r" + " " * self._width + "\r")
+            self._put("\r" + " " * self._width + "\r")
             self._width = 0
-        self.stream.write(line + "\n")
-        self.stream.flush()
+        self._put(line + "\n")
+
+    def _put(self, text):
+        """Write at once; where nobody reads any more, a run goes on and its log has it all."""
+        try:
+            self.stream.write(text)
+            self.stream.flush()
+        except OSError:  # a broken pipe, or a terminal that was closed
+            self.stream, self.terminal = io.StringIO(), False

@@ -280,6 +280,12 @@ class StopRequest:
         self._before = {s: signal.signal(s, self._ask) for s in heard}
         return self
 
+    def listen(self):
+        """Hear again what PETSc, once it is loaded, has taken; a reader who goes ends no run."""
+        for number in self._before:
+            signal.signal(number, self._ask)
+        signal.signal(signal.SIGPIPE, signal.SIG_IGN)
+
     def __exit__(self, *_):
         for number, handler in self._before.items():
             signal.signal(number, handler)
@@ -348,6 +354,7 @@ def run_job(job, progress=None, stop=None):
         checkpoints = Checkpoints(folder / "checkpoints")
         memory, notes = ranks.same(ranks.alone(_went_before, job, checkpoints))
         recorder = _recorder(job, folder, progress, memory)
+        stop.listen()
         kept = checkpoints if job.checkpoint else None
         keeper = Keeper(recorder, kept, job.checkpoint, job.walltime, lambda: stop.wanted)
         try:

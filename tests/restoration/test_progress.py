@@ -35,3 +35,14 @@ def test_elsewhere_plain_lines_come_now_and_then(every, shown):
         progress.update(f"step {step}")
     progress.say("done")
     assert stream.getvalue().splitlines() == [f"step {k}" for k in range(shown)] + ["done"]
+
+
+def test_a_reader_who_goes_stops_nothing():
+    class Closed(io.StringIO):
+        def write(self, text):
+            raise BrokenPipeError
+
+    progress = Progress(Closed())
+    progress.say("one")
+    progress.update("two")
+    progress.say("three")
