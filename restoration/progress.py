@@ -1,6 +1,5 @@
 """What a run tells its user while it works."""
 
-import io
 import sys
 import time
 
@@ -41,8 +40,10 @@ class Progress:
 
     def _put(self, text):
         """Write at once; where nobody reads any more, a run goes on and its log has it all."""
+        if self.stream is None:
+            return
         try:
             self.stream.write(text)
             self.stream.flush()
         except OSError:  # a broken pipe, or a terminal that was closed
-            self.stream, self.terminal = io.StringIO(), False
+            self.stream = None
