@@ -10,7 +10,12 @@ from contextlib import ExitStack, redirect_stderr, redirect_stdout
 from pathlib import Path
 
 from restoration import __version__
-from restoration.environment import check_environment, use_jit_cache, use_numba_cache
+from restoration.environment import (
+    check_environment,
+    use_jit_cache,
+    use_matplotlib_cache,
+    use_numba_cache,
+)
 from restoration.errors import CaseError, RestorationError
 from restoration.launch import begin_together, end_together, rank_and_size, run_on_ranks
 
@@ -46,6 +51,7 @@ def _commanded(options, rank, size):
             if rank == 0:
                 print(f"warning: {warning}", file=sys.stderr)
         use_numba_cache()
+        use_matplotlib_cache()
         code = options.command(options)
         sys.stdout.flush()
         return code
