@@ -21,8 +21,9 @@ from restoration.keeper import Keeper, newest
 from restoration.launch import as_many_as_told
 from restoration.stopping import Stopping
 from restoration.units import show
+from restoration.writing import write_text
 
-STOPPING = signal.SIGINT, signal.SIGTERM, signal.SIGUSR1
+STOPPING = signal.SIGINT, signal.SIGTERM, signal.SIGUSR1, signal.SIGHUP
 ROUNDING = 1e-9  # of a number of steps, which is a quotient of times
 MOST_STEPS = 1_000_000  # to a mark; a flow that needs more is not what the case is about
 
@@ -140,7 +141,7 @@ def prepare_folder(job):
     """
     folder = job.folder
     try:
-        if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+        if folder.exists() and not (folder.is_dir() and _hardly_begun(folder)):
             earlier = _earlier(folder)
             if earlier is None:
                 raise CaseError(f"{folder}: is not a run folder and not empty; give another --out")
@@ -162,16 +163,23 @@ def prepare_folder(job):
 
 def _lay_out(job):
     """Make the folders of a run, and write the case."""
-    for name in ("", "figures", "horizons"):
-        (job.folder / name).mkdir(parents=True, exist_ok=True)
-    (job.folder / "case.yaml").write_text(job.case_text, encoding="utf-8")
-    (job.folder / "resolved.yaml").write_text(job.resolved, encoding="utf-8")
+    write_text(job.folder / "resolved.yaml", job.resolved)  # the first one: see `_hardly_begun`
+    write_text(job.folder / "case.yaml", job.case_text)
+    for name in ("figures", "horizons"):
+        (job.folder / name).mkdir(exist_ok=True)
 
 
-# What a run leaves in its folder.
+def _hardly_begun(folder):
+    """Return whether a folder is empty, or was when a run that was cut short began in it."""
+    return {path.name for path in folder.iterdir()} <= {
+        ".resolved.yaml.tmp",
+        "resolved.yaml",
+        ".case.yaml.tmp",
+    }
+
+
+# What a run leaves in its folder, beside the case: by that a folder is known.
 RUN_FILES = (
-    "case.yaml",
-    "resolved.yaml",
     "run.json",
     "diagnostics.csv",
     "log.txt",
@@ -250,9 +258,10 @@ def locked(folder, what="run", patience=0.0):
 
 
 class StopRequest:
-    """Turns Ctrl-C, SIGTERM and SIGUSR1 into a wish that is granted after the step.
+    """Turns Ctrl-C, SIGTERM, SIGUSR1 and SIGHUP into a wish that is granted after the step.
 
-    A second Ctrl-C ends at once. Programs that start ranks hand SIGUSR1 on to them, not the others.
+    What is ignored already stays so: under nohup a run outlives its terminal. A second Ctrl-C ends
+    at once. Programs that start ranks hand SIGUSR1 on to them, not the others.
     """
 
     def __init__(self):
@@ -262,7 +271,8 @@ class StopRequest:
     def __enter__(self):
         if self._before:
             return self
-        self._before = {s: signal.signal(s, self._ask) for s in STOPPING}
+        heard = [s for s in STOPPING if signal.getsignal(s) != signal.SIG_IGN or s != signal.SIGHUP]
+        self._before = {s: signal.signal(s, self._ask) for s in heard}
         return self
 
     def __exit__(self, *_):
@@ -290,9 +300,8 @@ def _recorder(job, folder, progress, memory):
 def _went_before(job, checkpoints):
     """Return the memory that a job goes on from, or None, and notes on it."""
     memory, notes = newest(checkpoints, job)
-    if memory is None:
+    if memory is None and notes:
         clear(job.folder)
-        _lay_out(job)
     return memory, notes
 
 
