@@ -14,6 +14,7 @@ from restoration.environment import (
     check_environment,
     take_early,
     use_jit_cache,
+    use_matplotlib_cache,
     use_numba_cache,
 )
 from restoration.errors import (
@@ -57,6 +58,7 @@ def _commanded(options, rank, size):
             if rank == 0:
                 print(f"warning: {warning}", file=sys.stderr)
         use_numba_cache()
+        use_matplotlib_cache()
         code = options.command(options)
         sys.stdout.flush()
         return code
