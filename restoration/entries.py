@@ -390,6 +390,7 @@ class Solver(Entry):
 
     name: words("auto", "direct", "fieldsplit") = "auto"
     options: Annotated[tuple[tuple[str, str], ...], PlainValidator(read_options)] = ()
+    reproducible: bool = True
 
 
 class Particles(Entry):

@@ -18,8 +18,9 @@ from restoration.line_rock import LineRock
 from restoration.lines import memory_of, surface_of
 from restoration.particles import CellIndex, nearest, relocate
 from restoration.ranks import ALONE
-from restoration.shared_stokes import SharedStokes
+from restoration.shared_stokes import FirstStokes, SharedStokes
 from restoration.snapshot import FieldSnapshot
+from restoration.solvers import choose_solver
 from restoration.spaces import Spaces
 from restoration.stokes import StokesProblem
 from restoration.surface import ROUGH, Top, cell_shapes, standing
@@ -81,7 +82,11 @@ class Grid:
         if scene.free:
             motion = scene.surface.motion
             self.top = Top(section, self.spaces, self.index, motion, air is not None)
-        problem = partial(SharedStokes, ranks) if ranks.several else StokesProblem
+        problem = StokesProblem
+        if ranks.several:
+            name = choose_solver(scene.solver, section.dim, self.spaces.unknowns)
+            alone = name == "direct" and scene.solver.reproducible
+            problem = partial(FirstStokes if alone else SharedStokes, ranks)
         self.stokes = problem(
             section,
             self.spaces,
@@ -93,7 +98,7 @@ class Grid:
             scene.closed,
             scene.one_viscosity and not scene.free and regions is None,
             scene.solver,
-            counts,
+            counts=counts,
             top=self.top,
             on_facets=self.fields.on_facets,
             follows=scene.one_viscosity or regions is not None,

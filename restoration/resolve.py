@@ -191,7 +191,7 @@ def _scene(case, shape, outline, walls, cells, title, notes):
             case.mesh.interfaces,
             case.mesh.refine and RefinePlan(**dict(case.mesh.refine)),
         ),
-        solver=SolverPlan(case.solver.name, case.solver.options),
+        solver=SolverPlan(case.solver.name, case.solver.options, case.solver.reproducible),
         surface=_surface(case.surface),
         certificate=None if deep else _certificate(case.certificate),
         length=case.section.box.length.si if deep else None,

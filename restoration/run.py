@@ -23,7 +23,7 @@ from restoration.stopping import Stopping
 from restoration.units import show
 from restoration.writing import write_text
 
-STOPPING = signal.SIGINT, signal.SIGTERM, signal.SIGUSR1
+STOPPING = signal.SIGINT, signal.SIGTERM, signal.SIGUSR1, signal.SIGHUP
 ROUNDING = 1e-9  # of a number of steps, which is a quotient of times
 MOST_STEPS = 1_000_000  # to a mark; a flow that needs more is not what the case is about
 
@@ -246,9 +246,10 @@ def locked(folder):
 
 
 class StopRequest:
-    """Turns Ctrl-C, SIGTERM and SIGUSR1 into a wish that is granted after the step.
+    """Turns Ctrl-C, SIGTERM, SIGUSR1 and SIGHUP into a wish that is granted after the step.
 
-    A second Ctrl-C ends at once. Programs that start ranks hand SIGUSR1 on to them, not the others.
+    What is ignored already stays so: under nohup a run outlives its terminal. A second Ctrl-C ends
+    at once. Programs that start ranks hand SIGUSR1 on to them, not the others.
     """
 
     def __init__(self):
@@ -258,7 +259,8 @@ class StopRequest:
     def __enter__(self):
         if self._before:
             return self
-        self._before = {s: signal.signal(s, self._ask) for s in STOPPING}
+        heard = [s for s in STOPPING if signal.getsignal(s) != signal.SIG_IGN or s != signal.SIGHUP]
+        self._before = {s: signal.signal(s, self._ask) for s in heard}
         return self
 
     def __exit__(self, *_):
