@@ -233,7 +233,6 @@ def _run(options):
     checkpoint = how_often(options.checkpoint)
     walltime = None if options.walltime is None else wall_time(options.walltime)
 
-    take_early()
     with StopRequest() as stop:  # already here: a Ctrl-C while a library loads would break it
         loaded = _load(options)
         if options.prove:
@@ -241,6 +240,7 @@ def _run(options):
         for note in loaded.scene.notes if rank_and_size()[0] == 0 else ():
             print(f"note: {note}", file=sys.stderr)
         use_jit_cache()
+        take_early()
         path = Path(options.case).absolute()
         job = Job(
             path,
