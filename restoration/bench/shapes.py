@@ -325,6 +325,20 @@ def run_shapes(quick):
         )
 
 
+def panels(rows):
+    """Return the panel of the figure, see `pictures.draw`: what became of the shapes by kind."""
+    series = {
+        name: (
+            [1 + KINDS.index(row.case) for row in rows],
+            [row.parameters[name] for row in rows],
+            "",
+        )
+        for name in ("solved", "refused", "silent")
+    }
+    series |= {f"{i}: {kind}": ([], [], "line") for i, kind in enumerate(KINDS, 1)}
+    return [("sections made at random", "kind", "shapes", ("linear", "linear"), series)]
+
+
 def main(first, last):
     """Print a line before the first shape, and one for each."""
     use_jit_cache()
