@@ -72,7 +72,7 @@ def by_kind(rows):
         p = row["parameters"]
         why = p["why"][0].replace("|", "/") if p["why"] else ""
         worst = ["" if p[name] is None else f"{p[name]:.0e}" for name in ("residual", "rock")]
-        table.append((row["case"], p["solved"], p["refused"], p["silent"], *worst, why))
+        table.append((row["case"], p["solved"], p["refusals"], p["silent"], *worst, why))
     return table_markdown([tuple(map(str, line)) for line in table])
 
 
