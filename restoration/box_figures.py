@@ -59,7 +59,7 @@ class Shot:
         columns, rows = ((np.arange(n) + 0.5) / n for n in size)
         x, z = np.meshgrid(left + columns * (right - left), top - rows * (top - bottom))
         pixels = np.column_stack([x.ravel(), np.full(x.size, self.middle), z.ravel()])
-        return cKDTree(self.x).query(pixels, workers=-1)[1].reshape(x.shape)
+        return cKDTree(self.x).query(pixels)[1].reshape(x.shape)
 
 
 def extent_of_cut(scene):

@@ -88,7 +88,7 @@ def nearest_particle(panel, extent, size):
     rows, columns = np.nonzero(inside)
     nearest = np.full((height, width), -1)
     tree = cKDTree(panel.x)
-    nearest[inside] = tree.query(np.column_stack([x[columns], z[rows]]), workers=-1)[1]
+    nearest[inside] = tree.query(np.column_stack([x[columns], z[rows]]))[1]
     return nearest
 
 

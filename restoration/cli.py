@@ -1,4 +1,4 @@
-"""The command line: ``restore run|check|trade CASE`` and ``restore bench``."""
+"""The command line: ``restore run|check|trade CASE``, ``restore sweep``, ``restore bench``."""
 
 import argparse
 import json
@@ -10,8 +10,19 @@ from contextlib import ExitStack, redirect_stderr, redirect_stdout
 from pathlib import Path
 
 from restoration import __version__
-from restoration.environment import check_environment, use_jit_cache, use_numba_cache
-from restoration.errors import CaseError, RestorationError
+from restoration.environment import (
+    check_environment,
+    take_early,
+    use_jit_cache,
+    use_numba_cache,
+)
+from restoration.errors import (
+    TOO_LARGE,
+    CaseError,
+    RestorationError,
+    TooLargeError,
+    out_of_memory,
+)
 from restoration.launch import begin_together, end_together, rank_and_size, run_on_ranks
 
 BUG = 1  # exit code of what should not happen
@@ -52,9 +63,12 @@ def _commanded(options, rank, size):
     except (RestorationError, KeyboardInterrupt, MemoryError, OSError) as error:
         code, text = _told(error)
     except Exception as error:
-        if size == 1:
+        if out_of_memory(error):
+            code, text = _told(error)
+        elif size == 1:
             raise
-        code, text = BUG, "".join(traceback.format_exception(error))
+        else:
+            code, text = BUG, "".join(traceback.format_exception(error))
     if text and rank == 0:
         print(text, file=sys.stderr, flush=True)
     if size > 1:
@@ -70,13 +84,14 @@ def _only_runs(options):
 
 def _told(error):
     """Return the exit code of an error, and what to tell of it."""
+    if out_of_memory(error):
+        told = isinstance(error, TooLargeError)
+        return TooLargeError.exit_code, str(error) if told else TOO_LARGE
     match error:
         case RestorationError():
             return error.exit_code, str(error)
         case KeyboardInterrupt():
             return 130, "stopped at once"
-        case MemoryError():
-            return 6, "out of memory; lower mesh.cells or particles.per_cell"
         case BrokenPipeError():  # the reader of our output has gone: `restore check ... | head`
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
             return 1, ""
@@ -95,9 +110,12 @@ def _parser():
     trade = commands.add_parser("trade", help="measure what accuracy costs, by settings")
     trade.set_defaults(command=_trade)
     trade.add_argument("case", metavar="CASE-or-BENCH", help="case file, or name of a benchmark")
+    sweep = commands.add_parser("sweep", help="run a case many times with varied entries")
+    sweep.set_defaults(command=_sweep)
+    sweep.add_argument("sweep", metavar="SWEEP", help="sweep file, YAML: docs/sweep.md")
     for command in (run, check):
         command.add_argument("case", metavar="CASE", help="case file, YAML")
-    for command in (run, check, trade):
+    for command in (run, check, trade, sweep):
         command.add_argument(
             "--set",
             action="append",
@@ -120,6 +138,11 @@ def _parser():
     trade.add_argument("--quick", action="store_true", help="few settings")
     trade.add_argument("--json", action="store_true", help="print JSON")
     trade.add_argument("--out", metavar="DIR", help="write JSON and the Pareto plot there")
+    sweep.add_argument("--workers", type=int, metavar="N", help="runs at a time; default: cores")
+    sweep.add_argument("--out", metavar="DIR", help="folder of the sweep; default runs/<sweep>")
+    sweep.add_argument("--list", action="store_true", help="tell what would be run, run nothing")
+    sweep.add_argument("--json", action="store_true", help="print JSON")
+    sweep.add_argument("--quiet", action="store_true", help="no word of single runs")
     check.add_argument("--json", action="store_true", help="print JSON")
     check.add_argument(
         "--forecast",
@@ -208,6 +231,7 @@ def _run(options):
     checkpoint = how_often(options.checkpoint)
     walltime = None if options.walltime is None else wall_time(options.walltime)
 
+    take_early()
     with StopRequest() as stop:  # already here: a Ctrl-C while a library loads would break it
         loaded = _load(options)
         if options.prove:
@@ -277,6 +301,21 @@ def _trade(options):
         options.quick,
         options.out,
         options.json,
+    )
+
+
+def _sweep(options):
+    from restoration.sweep.command import sweep
+
+    return sweep(
+        options.sweep,
+        tuple(options.set),
+        options.allow_outside,
+        options.out,
+        options.workers,
+        options.list,
+        options.json,
+        options.quiet,
     )
 
 

@@ -253,7 +253,7 @@ def displaced(state, off, within=None):
 
 def read(x, values, points):
     """Return values at points by the weighted mean of the particles around, shape (n, 2)."""
-    distance, near = cKDTree(x).query(points, NEIGHBOURS, workers=-1)
+    distance, near = cKDTree(x).query(points, NEIGHBOURS)
     weight = 1 / np.maximum(distance, 1e-6 * (distance.max() or 1.0)) ** 2
     return np.einsum("nk,nkd->nd", weight, values[near]) / weight.sum(axis=1)[:, None]
 
@@ -289,7 +289,7 @@ def offset(state, other):
     off = np.zeros_like(x)
     off[known] = other.particles.x[rows[known]] - x[known]
     if not known.all():
-        off[~known] = off[known][cKDTree(x[known]).query(x[~known], workers=-1)[1]]
+        off[~known] = off[known][cKDTree(x[known]).query(x[~known])[1]]
     return off
 
 

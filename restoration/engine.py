@@ -19,10 +19,11 @@ from restoration.advection import SCHEMES
 from restoration.bands import areas
 from restoration.diagnostics import relief
 from restoration.enclosed import kept
+from restoration.environment import give_memory_back
 from restoration.errors import MeshError, SolveError
 from restoration.free_surface import FreeSurface, with_area, without_cliffs
 from restoration.grid import Grid, units_of_regions
-from restoration.guard import Guard
+from restoration.guards import FittedGuard, StepGuards, look_at_fields
 from restoration.inflow import cast_off, flowed_in, with_ends
 from restoration.lines import (
     begin,
@@ -70,6 +71,8 @@ NUMBERS = (
     "horizon_shift",
     "fallen",
     "rejected",
+    "retried",
+    "longest",
     "born",
     "empty_cells",
     "held_on_wall",
@@ -94,6 +97,8 @@ class StokesEngine:
         empty_cells: cells without a particle after the last step; their rock is read from the
             particles around them.
         rejected: steps that were off by more than is tolerated, and taken anew.
+        retried: steps that have failed, and were taken anew with half their length.
+        longest: step that may be taken after such ones, s.
         held_on_wall: times a particle was set back onto a closed wall.
         seconds: wall time by part, s.
         grid: the `Grid` in use: one for the run where the mesh stands still.
@@ -132,7 +137,7 @@ class StokesEngine:
             self.mesher = self.make_mesher(scene, self.ranks)
             self.cell_size = self.mesher.finest
             lines = self._first_lines()
-            self._guard = Guard(scene, self.mesher.coarsest)
+            self._guard = FittedGuard(scene, self.mesher.coarsest)
             try:
                 section, points = self.mesher.mesh(lines)
                 self._take(section, lines, self._units(points))
@@ -142,8 +147,10 @@ class StokesEngine:
                 self._leave_to_particles(scene.time.marks[0], error)
                 self._take(self.mesher.mesh(lines)[0], lines)
         self.start_area = self.grid.section.area
+        self._guards = StepGuards(scene, self.ranks, not self.open)
         self._steps, self._last_flow = 0, None
         self.rejected, self._next = 0, np.inf  # steps; the next one by the error of the last, s
+        self.retried, self.longest = 0, np.inf
         self.born = 0
         self.empty_cells = 0
         self.held_on_wall = 0
@@ -170,10 +177,12 @@ class StokesEngine:
             "factorisations": counts.factorisations,
             "krylov_iterations": counts.krylov_iterations,
             "refinements": counts.refinements,
+            "solves_rescued": counts.rescued,
             "worst_residual": counts.worst_residual,
             "meshes": self.meshes,
             "interfaces_used": "fitted" if self.fitted else "particles",
             "steps_rejected": self.rejected,
+            "steps_retried": self.retried,
             "particles_born": self.born,
             "particles_left": dict(self.left),
             "particles_entered": dict(self.entered),
@@ -200,6 +209,7 @@ class StokesEngine:
             "particles_entered": sum(self.entered.values()),
             "empty_cells": self.empty_cells,
             "held_on_wall": self.held_on_wall,
+            "steps_retried": self.retried,
             "surface_relief_m": relief(state.lines)["surface_relief_m"],
             "surface_shift_m": self.surface_shift if self.surface else None,
             "horizon_shift_m": None if self.open else self.horizon_shift,
@@ -212,6 +222,22 @@ class StokesEngine:
         index = self.grid.index
         particles = self._settled(self.sharing.dealt(relocate(seed(self.scene), index), index))
         return State(self.scene.time.marks[0], particles, self._first_lines(), grid=self.grid)
+
+    def guard(self, state):
+        """Raise where a state with its flow cannot be gone on from, see `StepGuards.look`."""
+        self._guards.look(state, self._arrived)
+
+    def watch(self, state):
+        """Take from a state with its flow what `guard` compares those after it with."""
+        self._guards.watch(state, self._arrived)
+
+    @property
+    def _arrived(self):
+        return self.born + sum(self.entered.values()) - sum(self.left.values())
+
+    def facts(self):
+        """Return what a developer asks of mesh, rock and matrix, numbers by name."""
+        return self.grid.facts()
 
     def taken_over(self, state):
         """Return the state of another engine, on another mesh, as one of this."""
@@ -235,6 +261,7 @@ class StokesEngine:
         if self.grid is not None:
             self.grid.stokes.release()
         self.grid = self._grid_of(section, lines, regions)
+        give_memory_back()
         self.meshes += 1
         line = surface_of(lines)
         if regions is not None:
@@ -257,7 +284,7 @@ class StokesEngine:
         known = {"particles": particles, "points": points, "bands": dict(bands)}
         return partial(units_of_regions, **known, scene=self.scene, ranks=self.ranks)
 
-    def memory(self, state):
+    def memory(self, state, gather=True):
         """Return all that the run depends on from a state on, for a checkpoint or another trial.
 
         What is rebuilt from it by `recalled` goes on bit for bit as this engine does. The arrays
@@ -265,16 +292,19 @@ class StokesEngine:
 
         Args:
             state: with its flow, the one solved for last.
+            gather: whether the particles of all ranks are gathered, as a file asks for; else every
+                rank holds its own, and `gathered` makes up for it.
 
         Returns:
             A dict of dicts, lists, numbers, texts and arrays; the same on all ranks.
         """
         flow = state.flow
-        return self.memory_of_rock(state) | {
+        return self.memory_of_rock(state, gather) | {
             "flow": {"u": flow.u, "p": flow.p, "residual": flow.residual},
             "grid": self.grid.memory(),
             "surface": self.surface and self.surface.memory(),
             "rock_areas": self._guard.areas,
+            "guards": self._guards.memory(),
             "counts": asdict(self.counts),
             "numbers": {name: getattr(self, name) for name in NUMBERS},
             "left": dict(self.left),
@@ -300,6 +330,7 @@ class StokesEngine:
             if self.surface:
                 self.surface.recall(memory["surface"], self.grid)
         self._guard.areas = memory["rock_areas"]
+        self._guards.recall(memory["guards"])
         for name, value in memory["counts"].items():
             setattr(self.counts, name, value)
         for name, value in memory["numbers"].items():
@@ -311,11 +342,17 @@ class StokesEngine:
         particles = self.sharing.dealt(state.particles, self.grid.index)
         return replace(state, particles=particles, flow=flow, grid=self.grid)
 
-    def memory_of_rock(self, state):
+    def gathered(self, memory):
+        """Return a memory with the particles of all ranks."""
+        particles = memory["particles"]["held"]
+        return memory | {"particles": self.sharing.memory(particles)}
+
+    def memory_of_rock(self, state, gather=True):
         """Return where the rock is in a state, as `memory` does; see `rock_of`."""
+        particles = self.sharing.memory if gather else self.sharing.held
         return {
             "time": state.time,
-            "particles": self.sharing.memory(state.particles),
+            "particles": particles(state.particles),
             "lines": self._memory_of_lines(state.lines),
         }
 
@@ -437,7 +474,7 @@ class StokesEngine:
         if not np.isfinite(fastest):
             raise SolveError("the velocity is not finite; no time step is possible")
         longest = self.scene.time.courant / fastest if fastest > 0 else np.inf
-        longest = min(longest, self._next)
+        longest = min(longest, self._next, self.longest)
         if self.surface:
             with self.timed("surface"):
                 longest = min(longest, self.surface.stable_step(state.grid, state.time, mark))
@@ -448,12 +485,18 @@ class StokesEngine:
 
         Or less far, where a whole step would be off by more than is tolerated.
         """
+        crossed = self._crossed()
         try:
             return self._advanced(state, until)
         except MeshError as error:
             if not self.fitted:
                 raise
+            self.left, self.entered, self.born = crossed
             return self._advanced(self.with_flow(self._left_to_particles(state, error)), until)
+
+    def _crossed(self):
+        """Return how many particles have left, have entered and were born so far."""
+        return dict(self.left), dict(self.entered), self.born
 
     def _left_to_particles(self, state, error):
         """Return a state, without its flow, whose particles carry the rock from now on."""
@@ -578,10 +621,11 @@ class StokesEngine:
         with self.timed("surface"):
             slaving.look(self.grid)
             slaving.passes(state.time, surface_of(state.lines).points, state.flow)
-        begin = slaving.last
+        begin, crossed = slaving.last, self._crossed()
         trial = self._moved(
             state, state.time - TRIAL / slaving.modes.rates[-1], "euler", slaving=False
         )
+        self.left, self.entered, self.born = crossed
         at = self._placed(trial.particles, trial.lines)
         flow = self.solve(at, trial.time, trial.lines)
         with self.timed("surface"):
@@ -657,6 +701,7 @@ class StokesEngine:
             if hats is None:
                 hats = grid.index.locate(particles.x, particles.cell)[1]
             grid.fill(particles, hats, lines)
+            look_at_fields(grid)
         with self.timed("assemble"):
             grid.stokes.set_time(time)
             if self.surface:

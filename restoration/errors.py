@@ -4,13 +4,34 @@ A message is one line per fault and says where, what was found, what is possible
 Everything else that escapes is a bug and keeps its traceback.
 """
 
+import errno
 from dataclasses import dataclass
+
+from restoration.words import printable
+
+# How libraries tell that they were refused memory, where their errors have no number for it.
+MEMORY_WORDS = (
+    "bad_alloc",
+    "cannot allocate memory",
+    "failed to map segment",
+    "can't start new thread",
+    "unable to allocate",
+    "out of memory",
+)
+PETSC_MEMORY = 55  # error of PETSc
 
 
 class RestorationError(Exception):
-    """Base of every error that is reported without a traceback."""
+    """Base of every error that is reported without a traceback.
+
+    Attributes:
+        memory: of the state before the step that has failed for good, see `StokesEngine.memory`;
+            None where it was no such step.
+        facts: what a developer asks of mesh, rock and matrix, numbers and texts by name.
+    """
 
     exit_code = 1
+    memory = facts = None
 
 
 @dataclass(frozen=True)
@@ -34,7 +55,9 @@ class Fault:
     def __str__(self):
         place = [self.file, self.line, self.column]
         parts = [":".join(str(part) for part in place if part is not None), self.entry]
-        return ": ".join([part for part in parts if part] + [" ".join(self.message.split())])
+        return printable(
+            ": ".join([part for part in parts if part] + [" ".join(self.message.split())])
+        )
 
 
 class CaseError(RestorationError):
@@ -73,6 +96,29 @@ class TooLargeError(SolveError):
     """A problem does not fit into memory."""
 
     exit_code = 6
+
+
+TOO_LARGE = (
+    "out of memory; lower mesh.cells or particles.per_cell, or ask for more (ulimit -v, or the "
+    "memory of the job)"
+)
+
+
+def out_of_memory(error):
+    """Return whether an error, or one that it came from, tells that memory has run out."""
+    seen = set()
+    while error is not None and id(error) not in seen:
+        seen.add(id(error))
+        if isinstance(error, (MemoryError, TooLargeError)):
+            return True
+        if getattr(error, "errno", None) == errno.ENOMEM:
+            return True
+        if getattr(error, "ierr", None) == PETSC_MEMORY:
+            return True
+        if any(words in str(error).lower() for words in MEMORY_WORDS):
+            return True
+        error = error.__cause__ or error.__context__
+    return False
 
 
 class MeshError(RestorationError):

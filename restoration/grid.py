@@ -18,13 +18,16 @@ from restoration.line_rock import LineRock
 from restoration.lines import memory_of, surface_of
 from restoration.particles import CellIndex, nearest, relocate
 from restoration.ranks import ALONE
-from restoration.shared_stokes import SharedStokes
+from restoration.shared_stokes import FirstStokes, SharedStokes
 from restoration.snapshot import FieldSnapshot
+from restoration.solvers import choose_solver
 from restoration.spaces import Spaces
 from restoration.stokes import StokesProblem
-from restoration.surface import ROUGH, Top, standing
+from restoration.surface import ROUGH, Top, cell_shapes, standing
 from restoration.transfer import FittedFields, RockFields
 
+# Shape of an equilateral triangle, a square and a regular tetrahedron.
+BEST_SHAPE = {"triangle": 3**0.5 / 6, "quadrilateral": 1 / 4, "tetrahedron": 0.5**0.5}
 ARRAYS = tuple(field.name for field in fields(Arrays))
 
 
@@ -79,7 +82,11 @@ class Grid:
         if scene.free:
             motion = scene.surface.motion
             self.top = Top(section, self.spaces, self.index, motion, air is not None)
-        problem = partial(SharedStokes, ranks) if ranks.several else StokesProblem
+        problem = StokesProblem
+        if ranks.several:
+            name = choose_solver(scene.solver, section.dim, self.spaces.unknowns)
+            alone = name == "direct" and scene.solver.reproducible
+            problem = partial(FirstStokes if alone else SharedStokes, ranks)
         self.stokes = problem(
             section,
             self.spaces,
@@ -91,7 +98,7 @@ class Grid:
             scene.closed,
             scene.one_viscosity and not scene.free and regions is None,
             scene.solver,
-            counts,
+            counts=counts,
             top=self.top,
             on_facets=self.fields.on_facets,
             follows=scene.one_viscosity or regions is not None,
@@ -101,6 +108,7 @@ class Grid:
         self._share = {"triangle": 4, "quadrilateral": 1, "tetrahedron": 12}[section.cell] * (
             3 if pair.split else 1
         )
+        self._made = self._shapes()
         self._u = fem.Function(self.spaces.V)
         rock = self.top.rock if self.top else 1
         self._squared = fem.form(rock * ufl.inner(self._u, self._u) * self.spaces.dx)
@@ -187,6 +195,40 @@ class Grid:
         """Side of the square or cube that is split into such cells, shape (cells,), m."""
         return (self._share * self.index.area) ** (1 / self.section.dim)
 
+    def _shapes(self):
+        corners = self.section.corners  # as they are, whatever the index was told
+        if self.section.dim == 3:
+            return tetrahedron_shapes(corners)
+        round_it = [0, 1, 3, 2] if self.section.cell == "quadrilateral" else slice(None)
+        return cell_shapes(corners[:, round_it])
+
+    @property
+    def kept_shape(self):
+        """What cells have kept of the shape they were made with, shape (cells,).
+
+        It is negative where a cell has turned over.
+        """
+        return self._shapes() / self._made
+
+    @property
+    def thinnest(self):
+        """Least shape of the cells as they were made, over that of the best cell."""
+        return float(np.abs(self._made).min() / BEST_SHAPE[self.section.cell])
+
+    def facts(self):
+        """Return what a developer asks of mesh, rock and matrix, numbers by name."""
+        kept, eta = self.kept_shape, self.fields.viscosity_means() * self.eta0
+        worst = self.index.corners[int(np.nan_to_num(kept, nan=-np.inf).argmin())].mean(axis=0)
+        return {
+            "cells": len(kept),
+            "unknowns": self.spaces.unknowns,
+            "least_area": float(self.index.area.min()),
+            "least_shape_kept": float(kept.min()),
+            "least_shape_at_m": worst.tolist(),
+            "thinnest_cell": self.thinnest,
+            "viscosity_Pa_s": [float(eta.min()), float(eta.max())],
+        } | self.stokes.facts()
+
     def fit(self, lines, rows=None, begins=False):
         """Move a fitted mesh to lines; return whether its cells have kept their shape.
 
@@ -243,6 +285,18 @@ class Grid:
         if self._snapshot is None:
             self._snapshot = FieldSnapshot(self.spaces, self.fields, self.eta0)
         return self._snapshot
+
+
+def tetrahedron_shapes(corners):
+    """Return the shape of tetrahedra: signed volume over that of a cube on their mean edge.
+
+    Args:
+        corners: shape (cells, 4, 3), m.
+    """
+    edges = corners[:, 1:] - corners[:, :1]
+    pairs = np.array([(0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3)]).T
+    squares = ((corners[:, pairs[0]] - corners[:, pairs[1]]) ** 2).sum(axis=2).mean(axis=1)
+    return np.einsum("cd,cd->c", edges[:, 0], np.cross(edges[:, 1], edges[:, 2])) / squares**1.5
 
 
 def units_of_regions(section, index, *, particles, points, bands, scene, ranks):

@@ -11,7 +11,15 @@ from restoration.errors import OutputError
 from restoration.writing import disk_faults, replacing, write_text
 from restoration.xdmf import MeshSeries, ParticleSeries
 
-__all__ = ["RECORD", "Diagnostics", "MeshSeries", "ParticleSeries", "write_lines", "write_record"]
+__all__ = [
+    "RECORD",
+    "Diagnostics",
+    "MeshSeries",
+    "ParticleSeries",
+    "write_json",
+    "write_lines",
+    "write_record",
+]
 
 # The entries of run.json in their order, with the entries of those that are tables.
 RECORD = {
@@ -140,7 +148,18 @@ def write_record(path, record):
     for name, entries in RECORD.items():
         if entries and record[name] is not None:
             record[name] = dict.fromkeys(entries) | record[name]
-    write_text(path, json.dumps(record, indent=1, allow_nan=False) + "\n", durable=True)
+    write_json(path, record)
+
+
+def write_json(path, entries):
+    """Write numbers and texts by name as JSON; what is not finite is null.
+
+    The file outlives a loss of power.
+
+    Raises:
+        OutputError: the file could not be written.
+    """
+    write_text(path, json.dumps(_plain(entries), indent=1, allow_nan=False) + "\n", durable=True)
 
 
 def _plain(value):

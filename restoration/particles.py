@@ -95,7 +95,12 @@ class CellIndex:
 
     def guess(self, x):
         """Return the cell with the nearest centre for every point, shape (n,), int32."""
-        return self._tree.query(x)[1].astype(np.int32)
+        return self._nearest(x, 1)
+
+    def _nearest(self, x, count):
+        """Return the cells with the nearest centres; any for points that are not finite."""
+        found = self._tree.query(x, k=count)[1].astype(np.int32)
+        return np.minimum(found, np.int32(len(self.corners) - 1))
 
     def locate(self, x, guess):
         """Return the cell of every point and its hats in it.
@@ -119,7 +124,7 @@ class CellIndex:
         cell, weights = self._walk(x, start, self.corners, self.neighbours)
         stuck = np.flatnonzero(cell == OUTSIDE)
         if stuck.size:  # a walk can end at a concave wall although the point is inside
-            near = self._tree.query(x[stuck], k=min(24, len(self.corners)))[1]
+            near = self._nearest(x[stuck], min(24, len(self.corners)))
             for column in near.reshape(stuck.size, -1).T:
                 left = np.flatnonzero(cell[stuck] == OUTSIDE)
                 if not left.size:

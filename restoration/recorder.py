@@ -6,6 +6,7 @@ On several ranks all of them go through the tasks, with the particles of all; th
 import resource
 import subprocess
 import time
+from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -15,11 +16,20 @@ import numpy as np
 from restoration.canvas import time_text
 from restoration.certificate import certified, failed, outside_welds, report, sentences
 from restoration.certificate_figure import draw_certificate
+from restoration.checkpoint import Checkpoints
 from restoration.companions import Follower, accompany, prove
 from restoration.diagnostics import compared, relief, there_and_back, volume_by_rock
 from restoration.engine import StokesEngine
 from restoration.environment import versions
-from restoration.errors import MeshError, RestorationError, SolveError, StoppedError
+from restoration.errors import (
+    MeshError,
+    OutputError,
+    RestorationError,
+    SolveError,
+    StoppedError,
+    TooLargeError,
+    out_of_memory,
+)
 from restoration.figures import draw_flatness, draw_section, draw_strip, draw_there_and_back
 from restoration.layered import restorable
 from restoration.lines import as_drawn
@@ -27,6 +37,7 @@ from restoration.output import (
     Diagnostics,
     MeshSeries,
     ParticleSeries,
+    write_json,
     write_lines,
     write_record,
 )
@@ -54,6 +65,7 @@ COLUMNS = (
     "particles_entered",
     "empty_cells",
     "held_on_wall",
+    "steps_retried",
     "flatness_m",
     "surface_relief_m",
     "surface_shift_m",
@@ -282,6 +294,9 @@ class Recorder:
             code = 0
         else:
             code = error.exit_code if isinstance(error, RestorationError) else BUG
+            code = TooLargeError.exit_code if out_of_memory(error) else code
+        if error is not None and code in (SolveError.exit_code, MeshError.exit_code):
+            self._dump(error)
         if code in (SolveError.exit_code, MeshError.exit_code) and self._follower:
             self.record["certificate"] = failed(self.scene, self._follower, error)
         try:
@@ -295,6 +310,19 @@ class Recorder:
             elif self.ranks.first:  # the others may not have come here
                 self._close(error)
         return self.record
+
+    def _dump(self, error):
+        """Leave what a developer needs to see why a run has ended; the error then names it."""
+        if not self.ranks.first:  # the others may not have come here
+            return
+        folder = self.folder / "failure"
+        about = {"error": f"{type(error).__name__}: {error}", "steps": self.steps}
+        about |= {name: self.record.get(name) for name in ("case_sha256", "commit", "versions")}
+        with suppress(OutputError):
+            write_json(folder / "facts.json", about | (error.facts or {}))
+            if error.memory is not None:
+                Checkpoints(folder).write(self.steps, error.memory | {"rock": {}})
+            error.args = (f"{error}; what a developer needs is in {folder}",)
 
     def _close(self, error):
         write_record(self.folder / "run.json", self.record)

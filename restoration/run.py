@@ -9,6 +9,7 @@ import json
 import os
 import signal
 import tempfile
+import time
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from math import ceil
@@ -18,10 +19,12 @@ from restoration.checkpoint import Checkpoints
 from restoration.errors import CaseError, OutputError, SolveError, StoppedError
 from restoration.keeper import Keeper, newest
 from restoration.launch import as_many_as_told
+from restoration.retry import stepped
 from restoration.stopping import Stopping
 from restoration.units import show
+from restoration.writing import write_text
 
-STOPPING = signal.SIGINT, signal.SIGTERM, signal.SIGUSR1
+STOPPING = signal.SIGINT, signal.SIGTERM, signal.SIGUSR1, signal.SIGHUP
 ROUNDING = 1e-9  # of a number of steps, which is a quotient of times
 MOST_STEPS = 1_000_000  # to a mark; a flow that needs more is not what the case is about
 
@@ -48,8 +51,8 @@ def march(state, engine, plan, every_step=(), at_marks=(), stopping=None, at_res
 
     Args:
         state: `State` at the first mark, or where ``passed`` says.
-        engine: offers ``with_flow(state)``, ``stable_step(state, mark)`` and
-            ``advance(state, until)``.
+        engine: offers ``stable_step(state, mark)``, ``watch(state)`` and what `retry.stepped` asks
+            for.
         plan: `scene.TimePlan`.
         every_step: functions of the state before and after a step.
         at_marks: functions of the number of the mark and the state there, from the first mark on.
@@ -65,6 +68,7 @@ def march(state, engine, plan, every_step=(), at_marks=(), stopping=None, at_res
     stopping = stopping or Stopping()
     if passed is None:
         passed, state = 0, engine.with_flow(state)
+        engine.watch(state)
         stopping.begin(state)
         for task in (*at_marks, *at_rest):
             task(0, state)
@@ -75,7 +79,7 @@ def march(state, engine, plan, every_step=(), at_marks=(), stopping=None, at_res
         while state.time != mark and not stopping.over:
             before = state
             until = next_time(state.time, mark, min(engine.stable_step(state, mark), longest))
-            state = engine.with_flow(engine.advance(state, until))
+            state = stepped(engine, before, until)
             state = stopping.landed(engine, before, state)
             for task in every_step:
                 task(before, state)
@@ -139,7 +143,7 @@ def prepare_folder(job):
     """
     folder = job.folder
     try:
-        if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+        if folder.exists() and not (folder.is_dir() and _hardly_begun(folder)):
             earlier = _earlier(folder)
             if earlier is None:
                 raise CaseError(f"{folder}: is not a run folder and not empty; give another --out")
@@ -161,16 +165,23 @@ def prepare_folder(job):
 
 def _lay_out(job):
     """Make the folders of a run, and write the case."""
-    for name in ("", "figures", "horizons"):
-        (job.folder / name).mkdir(parents=True, exist_ok=True)
-    (job.folder / "case.yaml").write_text(job.case_text, encoding="utf-8")
-    (job.folder / "resolved.yaml").write_text(job.resolved, encoding="utf-8")
+    write_text(job.folder / "resolved.yaml", job.resolved)  # the first one: see `_hardly_begun`
+    write_text(job.folder / "case.yaml", job.case_text)
+    for name in ("figures", "horizons"):
+        (job.folder / name).mkdir(exist_ok=True)
 
 
-# What a run leaves in its folder.
+def _hardly_begun(folder):
+    """Return whether a folder is empty, or was when a run that was cut short began in it."""
+    return {path.name for path in folder.iterdir()} <= {
+        ".resolved.yaml.tmp",
+        "resolved.yaml",
+        ".case.yaml.tmp",
+    }
+
+
+# What a run leaves in its folder, beside the case: by that a folder is known.
 RUN_FILES = (
-    "case.yaml",
-    "resolved.yaml",
     "run.json",
     "diagnostics.csv",
     "log.txt",
@@ -186,6 +197,9 @@ RUN_FILES = (
     "figures/certificate.png",
     "certificate.md",
     "figures/flatness.png",
+    "failure/facts.json",
+    "failure/step-*.h5",
+    "failure/latest.json",
     "horizons/[0-9]*-*.geojson",
     "checkpoints/step-*.h5",
     "checkpoints/kept-*.h5",
@@ -217,25 +231,42 @@ def clear(folder):
 
 
 @contextmanager
-def locked(folder):
+def locked(folder, what="run", patience=0.0):
     """Keep other runs out of a run folder as long as this one works in it.
+
+    Args:
+        folder: pathlib.Path of it.
+        what: works in it, for the message.
+        patience: seconds to wait for one that is about to end.
+
+    Yields:
+        The lock, an open file: a child that inherits it keeps the folder as long as it lives.
 
     Raises:
         CaseError: another run is at work in it.
     """
     name = hashlib.sha256(str(folder.absolute()).encode()).hexdigest()[:16]
-    with open(Path(tempfile.gettempdir()) / f"restore-{os.getuid()}-{name}.lock", "w") as lock:
-        try:
-            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            raise CaseError(f"{folder}: another run is at work in it; give another --out") from None
-        yield
+    path = Path(tempfile.gettempdir()) / f"restore-{os.getuid()}-{name}.lock"
+    limit = time.monotonic() + patience
+    with open(path, "w") as lock:
+        while True:
+            try:
+                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                break
+            except BlockingIOError:
+                if time.monotonic() >= limit:
+                    raise CaseError(
+                        f"{folder}: another {what} is at work in it; give another --out"
+                    ) from None
+            time.sleep(0.05)
+        yield lock
 
 
 class StopRequest:
-    """Turns Ctrl-C, SIGTERM and SIGUSR1 into a wish that is granted after the step.
+    """Turns Ctrl-C, SIGTERM, SIGUSR1 and SIGHUP into a wish that is granted after the step.
 
-    A second Ctrl-C ends at once. Programs that start ranks hand SIGUSR1 on to them, not the others.
+    What is ignored already stays so: under nohup a run outlives its terminal. A second Ctrl-C ends
+    at once. Programs that start ranks hand SIGUSR1 on to them, not the others.
     """
 
     def __init__(self):
@@ -245,7 +276,8 @@ class StopRequest:
     def __enter__(self):
         if self._before:
             return self
-        self._before = {s: signal.signal(s, self._ask) for s in STOPPING}
+        heard = [s for s in STOPPING if signal.getsignal(s) != signal.SIG_IGN or s != signal.SIGHUP]
+        self._before = {s: signal.signal(s, self._ask) for s in heard}
         return self
 
     def __exit__(self, *_):
@@ -273,9 +305,8 @@ def _recorder(job, folder, progress, memory):
 def _went_before(job, checkpoints):
     """Return the memory that a job goes on from, or None, and notes on it."""
     memory, notes = newest(checkpoints, job)
-    if memory is None:
+    if memory is None and notes:
         clear(job.folder)
-        _lay_out(job)
     return memory, notes
 
 

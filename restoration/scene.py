@@ -263,10 +263,13 @@ class SolverPlan:
     Attributes:
         name: ``direct``, ``fieldsplit`` or ``auto``.
         options: PETSc options that replace those of the solver, (name, value) pairs.
+        reproducible: whether of several ranks the first one alone solves directly: MUMPS on several
+            adds up in the order that messages come in, so that no two runs agree to the last bit.
     """
 
     name: str = "auto"
     options: tuple[tuple[str, str], ...] = ()
+    reproducible: bool = True
 
 
 @dataclass(frozen=True)

@@ -1,10 +1,11 @@
-"""The Stokes problem of a mesh that every rank holds whole, solved by all of them together.
+"""The Stokes problem of a mesh that every rank holds whole, solved by one of them or by all.
 
-The mesh is dealt out with ghosts, the fields are copied there from the whole ones, and velocity and
-pressure are gathered again, so that around the solve nothing knows of ranks.
+For all of them the mesh is dealt out with ghosts, the fields are copied there from the whole ones,
+and velocity and pressure are gathered again, so that around the solve nothing knows of ranks.
 """
 
-from dataclasses import replace
+from dataclasses import asdict, replace
+from functools import partial
 
 import numpy as np
 from dolfinx import fem
@@ -16,8 +17,86 @@ from meshes.dealt import dealt
 from meshes.noding import MeshingError
 from restoration.errors import MeshError
 from restoration.spaces import Spaces, nodes
-from restoration.stokes import StokesProblem
+from restoration.stokes import Counts, StokesProblem
 from restoration.surface import Ground
+
+
+class FirstStokes:
+    """Solves as a `StokesProblem` does: on the first of several ranks, which tells the others.
+
+    The same run on the same ranks then gives the same bits.
+
+    Args:
+        ranks: `ranks.Ranks`, that hold the mesh and the fields whole each.
+        *arguments, **options: of a `StokesProblem`.
+
+    Attributes:
+        leak, factored, analyses, lead: see `StokesProblem`.
+    """
+
+    def __init__(self, ranks, *arguments, counts, **options):
+        self._ranks, self._counts, self.factored = ranks, counts or Counts(), lambda: None
+        self.lead = 0.0
+        self._made = ranks.alone(partial(StokesProblem, *arguments, counts=self._counts, **options))
+        self._tell()
+
+    def _tell(self, *found):
+        """Return what the first rank has found, and take over what it counts."""
+        made, counts = self._made, asdict(self._counts)
+        told = self._ranks.same((found, made and (made.leak, made.analyses), counts))
+        for name, value in told[2].items():
+            setattr(self._counts, name, value)
+        self.leak, self.analyses = told[1]
+        return told[0]
+
+    def _alone(self, name, *arguments):
+        return self._ranks.alone(lambda: getattr(self._made, name)(*arguments))
+
+    def set_time(self, time):
+        """See `StokesProblem.set_time`."""
+        self._alone("set_time", time)
+
+    def stabilise(self, lead, before=None):
+        """See `StokesProblem.stabilise`."""
+        self.lead = lead
+        self._alone("stabilise", lead, before)
+
+    def assemble(self):
+        """See `StokesProblem.assemble`."""
+        self._alone("assemble")
+
+    def solve(self):
+        """See `StokesProblem.solve`; on all ranks."""
+        return self._found("solve")
+
+    def response(self, column):
+        """See `StokesProblem.response`; on all ranks."""
+        return self._found("response", column)
+
+    def _found(self, name, *arguments):
+        before = self._counts.factorisations
+        (found,) = self._tell(self._alone(name, *arguments))
+        if self._counts.factorisations > before:
+            self.factored()
+        return found
+
+    def memory(self):
+        """See `StokesProblem.memory`."""
+        return self._ranks.same(self._alone("memory"))
+
+    def prepare(self, memory, analysed):
+        """See `StokesProblem.prepare`."""
+        self._alone("prepare", memory, analysed)
+        self._tell()
+
+    def recall(self, memory):
+        """See `StokesProblem.recall`."""
+        self._alone("recall", memory)
+        self._tell()
+
+    def release(self):
+        """Give the memory of matrix and factors back."""
+        self._alone("release")
 
 
 class SharedStokes:
@@ -163,6 +242,10 @@ class SharedStokes:
         velocity, pressure = self._nodes
         past = [x | {"u": x["u"][velocity], "p": x["p"][pressure]} for x in memory["past"]]
         self._problem.recall(memory | {"past": past})
+
+    def facts(self):
+        """Return what `StokesProblem.facts` does."""
+        return self._problem.facts()
 
     def release(self):
         """Give the memory of matrix and factors back."""

@@ -24,7 +24,10 @@ ORDERING = {0: 0, 50_000: 4}
 # Growth of the workspace over MUMPS's own forecast, per cent; the next is tried when it overflows.
 WORKSPACE = (100, 300, 900)
 SMALL_WORKSPACE = (-8, -9)
-OUT_OF_MEMORY = -13
+OUT_OF_MEMORY = (-5, -7, -13)
+SINGULAR = (-6, -10)
+# What developers ask MUMPS for: error and its detail, entries and rows, memory, pivots.
+INFOG, RINFOG = (1, 2, 9, 10, 12, 16, 17, 18, 19, 25, 28), (1, 3, 11)
 PREFIX = "stokes_"
 
 # What a factorisation may cost in solves with its factors, on 20 000 unknowns, and how that grows.
@@ -45,12 +48,22 @@ REMEMBERED = (
     "_last",
     "_failures",
     "_waits",
+    "careful",
 )
 
 DIRECT = {
     "ksp_type": "preonly",
     "pc_type": "cholesky",
     "pc_factor_mat_solver_type": "mumps",
+}
+# What a factorisation is made with that has failed before: pivots are chosen freely among rows and
+# columns scaled iteratively. Null pivots stay a failure: a matrix that has some does not tell where
+# the section goes, whatever the residual.
+CAREFUL = {
+    "pc_type": "lu",
+    "mat_mumps_icntl_8": 8,
+    "mat_mumps_cntl_1": 0.1,
+    "mat_mumps_icntl_14": WORKSPACE[-1],
 }
 FIELDSPLIT = {
     "ksp_type": "fgmres",
@@ -120,6 +133,7 @@ class DirectSolver:
     Attributes:
         factorisations, iterations, vcycles: so far; a direct solve is one iteration.
         analyses: so far, of the structure of the matrix, which look at its values too.
+        careful: whether it factorises as `CAREFUL` has it.
     """
 
     def __init__(self, A, options=None, symmetric=True):
@@ -134,7 +148,7 @@ class DirectSolver:
         self._spent, self._solves, self._last = 0.0, 1, 0.0  # in solves, since factorised
         self._failures, self._waits = 0, 0
         self.ksp = self._krylov = None
-        self.analyses = 0
+        self.analyses, self.careful, self._infog = 0, False, 0
 
     def update(self, keep=False):
         """Take the matrix as it is now: factorise it at the next solve; the analysis is kept.
@@ -155,10 +169,26 @@ class DirectSolver:
         self.ksp.setOperators(self.A)
         self._changed, self._stale = True, False
 
+    def begin_anew(self):
+        """Let the matrix be analysed and factorised as if there had been none before."""
+        self._make()
+        self._changed, self._stale = True, False
+
+    def rescale(self):
+        """Let the matrix be factorised as `CAREFUL` has it, from the next solve on."""
+        self.careful = True
+        self.options |= CAREFUL
+        self.begin_anew()
+
     @property
     def stale(self):
         """Whether the last solve was by factors of another matrix."""
         return self._stale
+
+    @property
+    def singular(self):
+        """Whether the last factorisation has found that the matrix is singular."""
+        return self._infog in SINGULAR
 
     def solve(self, b, x, guess=False, rtol=REUSE_RTOL):
         """Solve in place.
@@ -218,24 +248,27 @@ class DirectSolver:
                 self._spent, self._solves, self._last = self.cost, 1, 0.0
             self.ksp.solve(b, x)
             self._changed = False
-            infog = _infog(self.ksp)
+            infog = self._infog = _infog(self.ksp)
             if infog not in SMALL_WORKSPACE or self._workspace + 1 == len(WORKSPACE):
                 break
             self._workspace += 1
             self._make()
             self._changed = True
         self.iterations += 1
-        if infog == OUT_OF_MEMORY:
+        if infog in OUT_OF_MEMORY:
             raise TooLargeError(
-                "the factorisation does not fit into memory (MUMPS INFOG(1) = -13); "
+                f"the factorisation does not fit into memory (MUMPS INFOG(1) = {infog}); "
                 "lower mesh.cells"
             )
         reason = self.ksp.getConvergedReason()
         if reason <= 0 or infog != 0:
-            raise SolveError(
-                f"the Stokes solve failed: PETSc reason {reason}, MUMPS INFOG(1) = {infog}; "
-                "check that the walls hold the section and the range of viscosities"
-            )
+            advice = "check that the walls hold the section and the range of viscosities"
+            if infog in SMALL_WORKSPACE:
+                advice = (
+                    f"even {WORKSPACE[-1]} % more workspace than forecast is too little: set "
+                    "mat_mumps_icntl_14 in solver.options higher, or lower mesh.cells"
+                )
+            raise SolveError(f"PETSc reason {reason}, MUMPS INFOG(1) = {infog}; {advice}")
 
     def memory(self):
         """Return what decides how the next solves are made, beside the factors; see `recall`."""
@@ -256,6 +289,17 @@ class DirectSolver:
         """Let the next matrix be analysed too, for a workspace that was found before."""
         self._workspace, self._changed = workspace, True
         self._make()
+
+    def facts(self):
+        """Return the numbers by which MUMPS and PETSc tell of the last factorisation."""
+        if self.ksp is None:
+            return {}
+        facts = {"petsc_reason": self.ksp.getConvergedReason(), "careful": self.careful}
+        if self.factorisations and self.ksp.getPC().getFactorSolverType() == "mumps":
+            factors = self.ksp.getPC().getFactorMatrix()
+            told = {f"mumps_infog_{number}": factors.getMumpsInfog(number) for number in INFOG}
+            facts |= told | {f"mumps_rinfog_{n}": factors.getMumpsRinfog(n) for n in RINFOG}
+        return facts
 
     def release(self):
         """Give the memory of the factors back."""
@@ -317,6 +361,12 @@ class FieldsplitSolver:
         """
         self._changed = True
 
+    def refactor(self):
+        """Let the blocks be set up anew at the next solve."""
+        self._changed = True
+
+    begin_anew = rescale = refactor  # its blocks have no pivots to choose
+
     def _set_up(self):
         self._changed = False
         self.blocks.assemble()
@@ -361,7 +411,12 @@ class FieldsplitSolver:
         pc.getMGCoarseSolve().setOperators(self.coarse)
         pc.getMGSmoother(1).setOperators(self.A_uu)
 
+    def facts(self):
+        """Return the numbers by which PETSc tells of the last solve."""
+        return {"petsc_reason": self.ksp.getConvergedReason(), "floor": self.floor}
+
     stale = False  # its blocks are always those of the matrix, and its tolerance that of PETSc
+    singular = False
     analyses = 0
 
     def memory(self):
@@ -416,8 +471,8 @@ class FieldsplitSolver:
         diagonal.destroy()
         if (why := self.failure()) is not None:
             raise SolveError(
-                f"the iterative Stokes solve failed: {why}; the viscosity may be too rough for "
-                "it: take solver: {name: direct}"
+                f"{why}; the viscosity may be too rough for the iterative solver: take solver: "
+                "{name: direct}"
             )
 
     def failure(self):

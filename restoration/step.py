@@ -6,6 +6,7 @@ from itertools import chain, repeat
 import numpy as np
 
 from restoration.advection import SCHEMES
+from restoration.errors import ParticleError
 from restoration.inflow import wall_points
 from restoration.lines import points_of, surface_of, with_points
 from restoration.particles import OUTSIDE
@@ -134,8 +135,10 @@ class Step:
 
     def _located(self, x):
         """Return cells and hats of points in the mesh as it is."""
-        grid = self.engine.grid
+        grid, ranks = self.engine.grid, self.engine.ranks
         with self.engine.timed("advect"):
+            if ranks.any(not np.isfinite(x.sum())):
+                raise ParticleError("the step leads particles or lines nowhere: not finite")
             if grid is not self._grid:
                 self._grid, self._guess = grid, grid.index.guess(x)
             # What has left goes on with the rock at the wall, and so does what a stage carried

@@ -1,6 +1,7 @@
 """The Stokes problem of a section: assembly, and a solve that is checked."""
 
 from dataclasses import dataclass
+from functools import partial
 from math import isclose, prod
 
 import numpy as np
@@ -11,6 +12,15 @@ from petsc4py import PETSc
 
 from forms.stokes import gravity_load, schur_mass, source_load, stokes_form
 from forms.surface import column_weight, stabilisation
+from restoration.acceptance import (
+    CONTRAST,
+    MOST_DIVERGENCE,
+    Divergence,
+    Probe,
+    add_up,
+    climbed,
+    tell,
+)
 from restoration.assembly import assembler
 from restoration.blocks import Blocks
 from restoration.boundary import (
@@ -38,6 +48,9 @@ RESIDUAL = 1e-8
 RESIDUAL_BY_ROUNDING = 1e-2
 OUT_OF_MEMORY = 55  # error of PETSc
 ROUNDINGS = 100  # in the sum of a row
+REFINEMENTS = 3  # of a solution, at most
+ANEW = "assembled anew"
+WORST_ROWS = 5  # of the matrix, that a dump for developers names
 REMEMBERED = 3  # solutions through which a polynomial in time leads to the next
 FURTHEST = 1.5  # of the time between the first and the last of them, that it is followed
 
@@ -52,6 +65,7 @@ class Counts:
     refinements: int = 0
     worst_residual: float = 0.0
     responses: int = 0  # of the surface: back-substitutions beside the solves
+    rescued: int = 0  # solves that had failed, until the matrix was assembled or factorised anew
 
 
 @dataclass(frozen=True, eq=False)
@@ -207,6 +221,10 @@ class StokesProblem:
         self.factored = lambda: None
         self._time = self._factor_time = None
         self._past = Past(self.x)
+        self._divergence = Divergence(section, spaces)
+        self._probe, self._wrong = Probe(section, spaces, self.x, viscous=self.top is None), None
+        self._sound = False  # whether the matrix that never changes has given such a flow before
+        self._off = np.nan  # true relative residual of what `x` holds, once that is known
         top = spaces.ds(section.wall_tags["surface"])
         self._p = fem.Function(spaces.Q)
         self._surface_pressure = fem.form(self._p * top)
@@ -318,13 +336,15 @@ class StokesProblem:
         with self.b.localForm() as local:
             local.set(0)
         fem.petsc.assemble_vector(self.b, self._column_load)
-        self.b.ghostUpdate(addv=PETSc.InsertMode.ADD, mode=PETSc.ScatterMode.REVERSE)
+        add_up(self.b)
         for condition in self.bcs:  # what is held stays so
             dofs, owned = condition.dof_indices()
             self.b.array_w[dofs[:owned]] = 0
         if self.solver.stale:  # there are many of these
             self.solver.refactor()
         self._solve(self.b, self.x)
+        if not self._residual() <= RESIDUAL_BY_ROUNDING * self.b.norm():
+            raise SolveError("the response of the surface is not accurate; " + CONTRAST)
         self.counts.responses += 1
         with self.x.localForm() as local:
             return local.array_r[self.spaces.v_in_w].reshape(-1, self.section.dim).copy()
@@ -337,7 +357,7 @@ class StokesProblem:
             local.set(0)
         fem.petsc.assemble_vector(self.b, self.load)
         fem.petsc.apply_lifting(self.b, [self.a], [self.bcs])
-        self.b.ghostUpdate(addv=PETSc.InsertMode.ADD, mode=PETSc.ScatterMode.REVERSE)
+        add_up(self.b)
         fem.petsc.set_bc(self.b, self.bcs)
         if self._null_space is not None:
             self._null_space.remove(self.b)
@@ -346,19 +366,47 @@ class StokesProblem:
         """Return the `Flow` of what was assembled last.
 
         Raises:
-            SolveError: the solver failed or the true relative residual stayed above `RESIDUAL`.
+            SolveError: no rung of the ladder led to a solution that can be trusted.
+            TooLargeError: the problem does not fit into memory.
         """
-        residual = self._checked_solve()
+        guess = self._past.guess(self._time, self.x)
+        self.counts.rescued += ANEW in climbed(self._rungs(guess), self._doubt)
+        self._past.keep(self._time, self.x)
+        residual = self._off
         self.counts.solves += 1
         self.counts.worst_residual = max(self.counts.worst_residual, residual)
-        self.x.ghostUpdate(addv=PETSc.InsertMode.INSERT, mode=PETSc.ScatterMode.FORWARD)
+        u = self._velocity()
         with self.x.localForm() as local:
-            x = local.array_r
-            u = x[self.spaces.v_in_w].reshape(-1, self.section.dim).copy()
-            self._p.x.array[:] = x[self.spaces.q_in_w] * (self.eta0 / self.length)
+            pressure = local.array_r[self.spaces.q_in_w] * (self.eta0 / self.length)
+            self._p.x.array[:] = pressure
         if self.closed:
             self._p.x.array[:] -= self._total(self._surface_pressure) / self._surface_length
         return Flow(u, self._p.x.array.copy(), residual)
+
+    def facts(self):
+        """Return sizes of matrix and load, the worst rows, and what MUMPS tells; collective."""
+        first = self.A.getOwnershipRange()[0]
+        residual = np.abs(self.r.array_r)
+        worst = first + np.argsort(np.nan_to_num(residual, nan=np.inf))[-WORST_ROWS:][::-1]
+        return {
+            "solver": type(self.solver).__name__,
+            "matrix_norm": self.A.norm(),
+            "load_norm": self.b.norm(),
+            "solution_norm": self.x.norm(),
+            "relative_residual": self._off,
+            "worst_rows": worst.tolist(),
+            "worst_rows_at_m": [self._place(row - first) for row in worst],
+            "worst_row_residuals": residual[worst - first].tolist(),
+            "matrix_doubted": self._wrong,
+            **self.solver.facts(),
+        }
+
+    def _place(self, row):
+        """Return where the velocity of a row of this rank is, m; None where it is no velocity."""
+        at, dim = np.flatnonzero(self.spaces.v_in_w == row), self.section.dim
+        if not len(at):
+            return None
+        return self.spaces.V.tabulate_dof_coordinates()[at[0] // dim, :dim].tolist()
 
     @property
     def lead(self):
@@ -398,6 +446,8 @@ class StokesProblem:
         """
         if memory["fell_back"] and not self._fell_back:
             self._fall_back()
+        if memory["solver"].get("careful"):
+            self.solver.rescale()
         if analysed:
             self.solver.analysed_anew(memory["solver"].get("_workspace"))
         self.assemble()
@@ -425,10 +475,12 @@ class StokesProblem:
         PETSc keeps objects that Python has dropped until all ranks agree: a run with a new mesh
         for every step would fill the memory.
         """
+        self.factored = None  # which leads back to the grid: a ring is freed late
         self.solver.release()
         for held in (self.A, self.b, self.x, self.r):
             held.destroy()
         self._past.release()
+        self._probe.release()
 
     def _find_leak(self):
         """Spread over the section what the walls let out.
@@ -443,6 +495,7 @@ class StokesProblem:
 
     def _assemble_matrix(self):
         self._assembler.assemble(self.bcs)
+        self._wrong, self._sound = self._probe(self.A), False
         try:
             # At one time the rock moves by what the stages of a step differ in, and no further.
             self.solver.update(keep=self._follows or same_time(self._time, self._factor_time))
@@ -450,49 +503,85 @@ class StokesProblem:
             raise self._fault(error) from None
         self._assembled = True
 
-    def _checked_solve(self):
-        """Solve in place and return the true relative residual; raise unless it is small."""
+    def _rungs(self, guess):
+        """Yield the ways to the solution, as (name, task): each is asked for if those before fail.
+
+        Args:
+            guess: whether ``x`` holds what the solution may be.
+        """
+        yield "solved", lambda: self._solve_fast(guess)
+        if self._may_fall_back:
+            yield "solved directly", self._solve_directly
+        if self.solver.stale:
+            again = partial(self._solve, self.b, self.x, True, REUSE_RTOL_TIGHT)
+            yield "iterated further", again
+        if self.solver.stale:
+            yield "factorised anew", self._solve_anew
+        yield from self._refinements()
+        yield ANEW, self._reassemble
+        yield from self._refinements()
+        if not self.solver.singular:
+            yield "rescaled", self._rescale
+            yield from self._refinements()
+
+    def _refinements(self):
+        for _ in range(REFINEMENTS):
+            if not np.isfinite(self._off):
+                return
+            yield "refined", self._refine
+
+    def _solve_fast(self, guess):
         before = self.solver.iterations
-        guess = self._past.guess(self._time, self.x)
-        try:
-            self._solve(self.b, self.x, guess)
-            slow = self._may_fall_back and self.solver.iterations - before > MANY_ITERATIONS
-        except SolveError:
-            if not self._may_fall_back:
-                raise
-            slow = True
-        if slow:
-            self._fall_back()
-            self._solve(self.b, self.x)
+        self._solve(self.b, self.x, guess)
+        if self._may_fall_back and self.solver.iterations - before > MANY_ITERATIONS:
+            self._solve_directly()
+
+    def _solve_directly(self):
+        self._fall_back()
+        self._solve(self.b, self.x)
+
+    def _solve_anew(self):
+        self.solver.refactor()
+        self._solve(self.b, self.x)
+
+    def _reassemble(self):
+        self._assembled = False
+        self.assemble()
+        self.solver.begin_anew()
+        self._solve(self.b, self.x)
+
+    def _rescale(self):
+        self.solver.rescale()
+        self._solve(self.b, self.x)
+
+    def _doubt(self):
+        """Return why the solution in ``x`` cannot be trusted, or None; collective."""
+        if self._wrong:
+            return self._wrong
         scale = self.b.norm() or 1.0
-        residual = self._residual() / scale
-        if self.solver.stale and not residual <= RESIDUAL:
-            self._solve(self.b, self.x, True, REUSE_RTOL_TIGHT)
-            residual = self._residual() / scale
-        if self.solver.stale and not residual <= RESIDUAL:
-            self.solver.refactor()
-            self._solve(self.b, self.x)
-            residual = self._residual() / scale
+        self._off = self._residual() / scale
         allowed = RESIDUAL
-        for _ in range(3):
-            if residual <= RESIDUAL or not np.isfinite(residual):
-                break
+        if np.isfinite(self._off) and self._off > RESIDUAL and not self.solver.stale:
             allowed = max(RESIDUAL, min(RESIDUAL_BY_ROUNDING, self._rounding() / scale))
-            if residual <= allowed:
-                break
-            self._refine()
-            residual = self._residual() / scale
-        if not residual <= allowed:  # also true for NaN
-            raise SolveError(
-                f"the Stokes solve is not accurate: relative residual {residual:.1e}, allowed "
-                f"{allowed:.0e}; the viscosity contrast may be too high"
-            )
-        self._past.keep(self._time, self.x)
-        return residual
+        if not self._off <= allowed:  # also true for NaN
+            return f"relative residual {self._off:.1e}, allowed {allowed:.0e}"
+        if self._sound and self._comm.size == 1:
+            return None
+        made = self._divergence(self._velocity(), self._leak.value if self.closed else 0.0)
+        if not made <= MOST_DIVERGENCE:
+            return f"relative divergence {made:.1e}, allowed {MOST_DIVERGENCE:.0e}"
+        self._sound = self.steady
+        return None
+
+    def _velocity(self):
+        """Return the velocity in ``x`` at the nodes of this rank and its ghosts, a copy."""
+        tell(self.x)
+        with self.x.localForm() as local:
+            return local.array_r[self.spaces.v_in_w].reshape(-1, self.section.dim).copy()
 
     def _solve(self, b, x, guess=False, rtol=REUSE_RTOL):
         """Solve in place, and count what that and the update before it took."""
-        before = self._seen
+        before, self._off = self._seen, np.nan
         try:
             self.solver.solve(b, x, guess, rtol)
         except PETSc.Error as error:

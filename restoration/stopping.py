@@ -16,6 +16,7 @@ import numpy as np
 
 from restoration.entries import is_age
 from restoration.lines import surface_of
+from restoration.retry import stepped
 from restoration.scene import Line, StopPlan, Table
 from restoration.units import number, show
 from restoration.words import hint, listed
@@ -375,8 +376,9 @@ def _bare(state):
 def _marched(engine, state, until):
     """Return a state of before, marched to a time."""
     state = engine.with_flow(engine.taken_over(state))
+    engine.watch(state)
     while state.time != until:
-        state = engine.with_flow(engine.advance(state, until))
+        state = stepped(engine, state, until)
     return state
 
 

@@ -282,6 +282,10 @@ def cell_shapes(corners):
 
     Of a quadrilateral the worst of the triangles at its corners counts.
     """
+    if corners.shape[1] == 3:
+        (ax, az), (bx, bz) = (corners[:, k].T - corners[:, 0].T for k in (1, 2))
+        squares = ax**2 + az**2 + bx**2 + bz**2 + (bx - ax) ** 2 + (bz - az) ** 2
+        return (ax * bz - az * bx) / squares
     after, before = np.roll(corners, -1, axis=1) - corners, np.roll(corners, 1, axis=1) - corners
     twice = after[..., 0] * before[..., 1] - after[..., 1] * before[..., 0]
     squares = (after**2).sum(axis=(1, 2))

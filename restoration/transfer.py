@@ -26,6 +26,7 @@ from restoration.spaces import nodes
 # keeps the field smooth where a vertex loses the last particle of its own: see docs/accuracy.md.
 BACKGROUND = 0.1
 MOST_CHUNKS, CHUNK_PER_NODE = 8, 4  # chunks of particles; particles in one, for every vertex
+ROUNDING = 1e-9  # of a mean of values that are all alike, relative
 MASS_DEGREE = 3  # of the quadrature of the mass matrix, exact on squares that are not skew
 
 # f of `forms.rheology`, for the values of the particles.
@@ -60,6 +61,7 @@ class RockFields:
     Attributes:
         unsure: number of cells whose rock the lines could not tell when they were filled last: it
             is the mean of their particles.
+        bare: cells of rock with a corner that no particle was near when they were filled last.
         table: density and averaged viscosity of every unit, shape (units, 2).
         rho: density, a Function, kg/m^3; in the air that of the rock goes on.
         density: with that of the air, a UFL expression, kg/m^3.
@@ -97,6 +99,7 @@ class RockFields:
         self._around = None
         self._vertices = int(spaces.h_nodes.max()) + 1
         self._hats = np.full((self._vertices, 2), np.nan)
+        self.bare = np.empty(0, np.int64)
         self._sharpened = None
         if transfer.density in ("projection", "lines"):
             self._sharpened = Sharpening(spaces, index, ~self.in_air)
@@ -113,6 +116,9 @@ class RockFields:
             lines: moving lines at this moment.
         """
         hats = self.hat_means(self.table, cell, weights, unit, area)
+        alone = np.isnan(hats[:, 0])
+        bare = alone[self.spaces.h_nodes].any(axis=1) & ~self.in_air if alone.any() else ()
+        self.bare = np.flatnonzero(bare)
         # Inside a step, before particles can be born there, such a vertex keeps what it had.
         hats = np.where(np.isnan(hats), self._hats, hats)
         if self._air:  # high in the air no particle is near
@@ -145,6 +151,18 @@ class RockFields:
     def _find_means(self):
         for values, means in self._cell_means.items():
             means.x.array[:] = cell_means(values)
+
+    def ranges(self):
+        """Return (name, function, least, most) of what the fields hold, most and least possible.
+
+        The density may overshoot beside a jump, by no more than what it jumps.
+        """
+        low, high = self._density.min(), self._density.max()
+        theta = self._mean.min(), self._mean.max()
+        return (
+            ("density", self.rho, *_widened(2 * low - high, 2 * high - low)),
+            ("viscosity", self.theta, *_widened(*theta)),
+        )
 
     def _traced(self, values):
         """Return a function that has values on facets: itself, or the means of its cells."""
@@ -326,17 +344,24 @@ class FittedFields:
         unit: of every cell, shape (cells,).
 
     Attributes:
-        rho, density, eta, on_facets, in_air: as in `RockFields`.
+        rho, density, eta, on_facets, in_air, bare: as in `RockFields`.
     """
 
     def __init__(self, spaces, density, viscosity, unit):
-        self.unit = unit
+        self.unit, self.bare = unit, np.empty(0, np.int64)
+        self._ranges = _widened(np.min(density), np.max(density))
+        self._ranges += _widened(np.min(viscosity), np.max(viscosity))
         self.rho = self.density = fem.Function(spaces.D, name="density")
         self.eta = fem.Function(spaces.D, name="viscosity")
         self.rho.x.array[:] = np.asarray(density, float)[unit]
         self.eta.x.array[:] = np.asarray(viscosity, float)[unit]
         self.on_facets = self.density, self.eta
         self.in_air = np.zeros(len(unit), bool)
+
+    def ranges(self):
+        """Return what `RockFields.ranges` does."""
+        low, high, *eta = self._ranges
+        return ("density", self.rho, low, high), ("viscosity", self.eta, *eta)
 
     def memory(self):
         """Return nothing: the units of the cells, which decide all, are known to the grid."""
@@ -354,6 +379,12 @@ class FittedFields:
     def viscosity_means(self):
         """Return the viscosity of every cell over the reference, shape (cells,)."""
         return self.eta.x.array.copy()
+
+
+def _widened(low, high):
+    """Return the ends of a range with room for rounding."""
+    room = ROUNDING * max(abs(low), abs(high))
+    return low - room, high + room
 
 
 def cell_means(function):

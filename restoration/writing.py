@@ -18,6 +18,7 @@ ADVICE = {
     errno.ENOSPC: f"the disk is full: free some space, or {ELSEWHERE}",
     errno.EDQUOT: f"the disk quota is used up: free some space, or {ELSEWHERE}",
     errno.EFBIG: f"the system allows no file of this size: {ELSEWHERE}",
+    errno.EIO: f"the disk fails: {ELSEWHERE}",
     errno.EACCES: f"you may not write here: {ELSEWHERE}",
     errno.EPERM: f"you may not write here: {ELSEWHERE}",
     errno.EROFS: f"the disk is read-only: {ELSEWHERE}",

@@ -1,6 +1,7 @@
 """Prints where the rock of small runs has come to, as JSON; run it on any number of ranks."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +16,7 @@ from restoration.scene import (
     Outline,
     ParticlePlan,
     RefinePlan,
+    SolverPlan,
     SurfacePlan,
     TimePlan,
     Transfer,
@@ -106,6 +108,9 @@ SCENES = {
         time=TimePlan((0.0, 0.3 * MYR), "midpoint", 1.0, 8),
     ),
     "free surface": free_surface,
+    "free surface, solved by all ranks": lambda: replace(
+        free_surface(), solver=SolverPlan("direct", (), reproducible=False)
+    ),
     "few particles": lambda: diapir_scene(
         particles=ParticlePlan(1, 1, 1.0, 1),
         transfer=Transfer("linear", "cell", "harmonic"),

@@ -1,23 +1,29 @@
 """Runs that are killed, stopped and cut short: nothing is lost, and they end as if unbroken."""
 
 import csv
+import errno
 import hashlib
 import json
+import os
 import random
 import re
 import shutil
+import signal
+import sys
 import time
 from dataclasses import replace
 from pathlib import Path
 
 import h5py
+import numpy as np
 import pytest
 
 from restoration import recorder
 from restoration.checkpoint import Checkpoints
-from restoration.errors import RestorationError
+from restoration.errors import OutputError, RestorationError, StoppedError
 from restoration.run import Job, run_job
 from restoration.scene import MeshPlan, StopPlan, TimePlan
+from restoration.writing import write_text
 from tests.forked import Forked
 from tests.restoration.conftest import MYR, diapir_scene
 from tests.torture import tries
@@ -46,6 +52,11 @@ SCENES = {
         )
     ),
 }
+
+
+def shortest():
+    """Return a scene of two steps."""
+    return small(time=TimePlan((0.0, 0.1 * MYR), "midpoint", 1.0, 2))
 
 
 def job(folder, scene, **entries):
@@ -103,7 +114,7 @@ def no_pictures():
     """Let runs write empty pictures, which take most of the time of small ones."""
     with pytest.MonkeyPatch.context() as patch:
         for name in ("draw_section", "draw_strip", "draw_there_and_back", "draw_flatness"):
-            patch.setattr(recorder, name, lambda path, *_, **__: path.write_bytes(b""))
+            patch.setattr(recorder, name, lambda path, *_, **__: write_text(path, ""))
         yield
 
 
@@ -138,3 +149,159 @@ def test_killed_at_random_a_run_ends_as_if_unbroken(unbroken, tmp_path):
             assert not (folder / "checkpoints").exists()
             shutil.rmtree(folder)
     assert rounds >= 4
+
+
+class Disk:
+    """What a run does to its folder, counted, and cut short at one of its points.
+
+    Installed in a process of its own, since an audit hook stays.
+
+    Args:
+        folder: the run folder.
+        point: number of the call at which to act, from 1; 0 for never.
+        act: called with the arguments of the event.
+    """
+
+    EVENTS = ("open", "os.rename", "os.remove", "os.mkdir", "os.fsync")
+
+    def __init__(self, folder, point=0, act=None):
+        self.folder, self.point, self.act, self.count = str(folder), point, act, 0
+        fsync = os.fsync
+
+        def counted(descriptor):
+            self("os.fsync", (os.readlink(f"/proc/self/fd/{descriptor}"),))
+            fsync(descriptor)
+
+        os.fsync = counted
+        sys.addaudithook(self)
+
+    def __call__(self, event, arguments):
+        """Count an event that changes the folder, and act where it is the one."""
+        if event not in self.EVENTS or not str(arguments[0]).startswith(self.folder):
+            return
+        if event == "open" and (arguments[2] or 0) & (os.O_WRONLY | os.O_RDWR) == 0:
+            return
+        self.count += 1
+        if self.count == self.point:
+            self.act(*arguments)
+
+
+def killed(*_):
+    """End this process as SIGKILL does."""
+    os.kill(os.getpid(), signal.SIGKILL)
+
+
+def refused(number):
+    """Return what makes a call fail with an error of the system."""
+
+    def act(*_):
+        raise OSError(number, os.strerror(number))
+
+    return act
+
+
+@pytest.fixture(scope="module")
+def two_steps(tmp_path_factory, no_pictures):
+    """Return a scene, what its unbroken run leaves, and how often that changes its folder."""
+    scene, counted = shortest(), tmp_path_factory.mktemp("counted") / "count"
+    folder = tmp_path_factory.mktemp("unbroken") / "run"
+    run_job(job(folder.with_name("first"), scene))  # compiles
+
+    def counting():
+        disk = Disk(folder)
+        code = run(job(folder, scene))
+        counted.write_text(str(disk.count))
+        return code
+
+    assert Forked(counting).wait() == 0
+    return scene, ends(folder), int(counted.read_text())
+
+
+def broken_at(point, act, folder, scene):
+    """Run a job whose disk acts at a point, and return the exit code."""
+
+    def breaking():
+        Disk(folder, point, act)
+        return run(job(folder, scene))
+
+    return Forked(breaking).wait()
+
+
+def test_killed_at_every_write_a_run_ends_as_if_unbroken(two_steps, tmp_path):
+    scene, end, points = two_steps
+    assert points > 40
+    for point in range(1, points + 1, tries(2, 1)):
+        folder = tmp_path / f"{point}"
+        assert broken_at(point, killed, folder, scene) == -signal.SIGKILL
+        assert Checkpoints(folder / "checkpoints").newest()[1] == []
+        assert Forked(lambda folder=folder: run(job(folder, scene))).wait() == 0
+        assert ends(folder) == end, point
+
+
+@pytest.mark.parametrize("number", [errno.EIO, errno.ENOSPC])
+def test_refused_at_a_write_a_run_tells_so_and_ends_as_if_unbroken(two_steps, tmp_path, number):
+    scene, end, points = two_steps
+    for point in range(1 + number % 2, points + 1, tries(7, 1)):
+        folder = tmp_path / f"{point}"
+        code = broken_at(point, refused(number), folder, scene)
+        assert code == OutputError.exit_code or (code == 0 and ends(folder) == end), point
+        assert Forked(lambda folder=folder: run(job(folder, scene))).wait() == 0
+        assert ends(folder) == end, point
+
+
+def test_a_disk_that_loses_the_end_of_a_checkpoint_costs_no_more_than_that(two_steps, tmp_path):
+    scene, end, _ = two_steps
+
+    def stopped(*_):
+        raise StoppedError("before the end")
+
+    for kept in (0, 100, 511, 512, 5000):  # bytes of the newest one
+        folder = tmp_path / f"{kept}"
+
+        def stopping(folder=folder):
+            pytest.MonkeyPatch().setattr(recorder.Recorder, "compare", stopped)
+            return run(job(folder, scene))
+
+        assert Forked(stopping).wait() == StoppedError.exit_code
+        os.truncate(max(folder.glob("checkpoints/step-*.h5")), kept)
+        assert Forked(lambda folder=folder: run(job(folder, scene))).wait() == 0
+        assert ends(folder) == end
+        assert "is damaged" in (folder / "log.txt").read_text()
+
+
+@pytest.fixture(scope="module")
+def three_checkpoints(tmp_path_factory):
+    """Return a folder with three checkpoints of arrays and texts."""
+    checkpoints = Checkpoints(tmp_path_factory.mktemp("checkpoints"))
+    for step in range(3):
+        rock = {"kept-0": {"x": np.arange(50.0)}}
+        memory = {"time": 1.0, "step": step, "text": "\u00e4", "x": np.arange(400.0), "rock": rock}
+        checkpoints.write(step, memory)
+    return checkpoints.folder
+
+
+def test_every_damage_of_a_checkpoint_is_found(three_checkpoints):
+    newest = max(three_checkpoints.glob("step-*.h5"))
+    content, chance = newest.read_bytes(), random.Random(2)
+    assert Checkpoints(three_checkpoints).newest()[0]["step"] == 2
+    for number in range(tries(512, 10_000)):
+        damaged = bytearray(content)
+        if number % 4 == 3:
+            del damaged[chance.randrange(len(content)) :]
+        else:
+            damaged[chance.randrange(len(content))] ^= 1 << chance.randrange(8)
+        newest.write_bytes(damaged)
+        memory, notes = Checkpoints(three_checkpoints).newest()
+        assert memory["step"] == 1
+        assert len(notes) == 1
+        assert newest.name in notes[0]
+    newest.write_bytes(content)
+
+
+def test_what_checkpoints_share_is_verified_too(three_checkpoints):
+    kept = three_checkpoints / "kept-0.h5"
+    content = kept.read_bytes()
+    kept.write_bytes(content[:-1] + b"!")
+    assert Checkpoints(three_checkpoints).newest()[0] is None
+    kept.write_bytes(content)
+    assert Checkpoints(three_checkpoints).newest()[0]["rock"]["kept-0"]["x"][49] == 49.0

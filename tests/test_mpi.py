@@ -15,7 +15,7 @@ SETTINGS = {"OMPI_ALLOW_RUN_AS_ROOT": "1", "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM": "1"
 SETTINGS |= {"OMP_NUM_THREADS": "1", "NUMBA_NUM_THREADS": "1", "PYTHONPATH": str(ROOT)}
 
 
-def on_ranks(script, ranks):
+def on_ranks(script, ranks, *arguments):
     """Return the numbers that a script prints as JSON on its first rank."""
     # What MPI left for the children of the test runner would make mpirun one of them.
     left = ("OMPI_", "ORTE_", "PMIX_")
@@ -23,7 +23,7 @@ def on_ranks(script, ranks):
     # Ranks wait by spinning: other tests, which watch the clock, go first.
     launch = ["nice", "-n", "19", "mpirun", "--oversubscribe", "-n", str(ranks)]
     done = subprocess.run(
-        [*launch, sys.executable, str(script)],
+        [*launch, sys.executable, str(script), *map(str, arguments)],
         env=environment | SETTINGS,
         capture_output=True,
         text=True,

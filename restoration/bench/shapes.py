@@ -20,7 +20,7 @@ from restoration.bench.rows import Clock, Row
 from restoration.engine import StokesEngine
 from restoration.environment import use_jit_cache, use_numba_cache
 from restoration.errors import RestorationError
-from restoration.guard import drawn_shares
+from restoration.guards import drawn_shares
 from restoration.lines import surface_of
 from restoration.resolve import load
 from restoration.run import march

@@ -1,5 +1,7 @@
 """Stokes flow against exact solutions: orders, a viscosity jump, extremes, walls."""
 
+from itertools import chain, repeat
+
 import basix
 import numpy as np
 import pytest
@@ -235,7 +237,7 @@ class Mumps:
     """Stands for a solver whose factorisations end as told."""
 
     def __init__(self, ends, workspaces):
-        self.ends, self.workspaces = iter(ends), workspaces
+        self.ends, self.workspaces = chain(ends, repeat(ends[-1])), workspaces
 
     def solve(self, b, x):
         self.end = next(self.ends)
@@ -264,7 +266,7 @@ class Mumps:
     [
         ([-13], TooLargeError, "does not fit into memory", []),
         ([-9, -13], TooLargeError, "does not fit into memory", [1]),
-        ([-9, -9, -9], SolveError, r"INFOG\(1\) = -9", [1, 2]),
+        ([-9], SolveError, r"INFOG\(1\) = -9.*mat_mumps_icntl_14", [1, 2, 2]),
         ([-10], SolveError, "check that the walls hold the section", []),
     ],
 )

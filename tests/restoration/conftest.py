@@ -56,6 +56,36 @@ def diapir_scene(cells=(12, 13), viscosity=(1e19, 1e19), marks=(0, 1, 0), **plan
     return Scene(**entries | defaults | plans)
 
 
+class PlainEngine:
+    """What the march asks of an engine that cannot fail; a state is all there is."""
+
+    retried, longest, notes = 0, np.inf, ()
+
+    def with_flow(self, state):
+        return state
+
+    def taken_over(self, state):
+        return state
+
+    def memory(self, state, gather=True):
+        return state
+
+    def recalled(self, memory):
+        return memory
+
+    def gathered(self, memory):
+        return memory
+
+    def watch(self, state):
+        pass
+
+    def guard(self, state):
+        pass
+
+    def facts(self):
+        return {}
+
+
 @pytest.fixture(scope="session")
 def make_scene():
     return diapir_scene

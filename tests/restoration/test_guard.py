@@ -5,7 +5,7 @@ import pytest
 
 from restoration.engine import StokesEngine
 from restoration.errors import MeshError
-from restoration.guard import drawn_shares
+from restoration.guards import drawn_shares
 from restoration.scene import Line, MeshPlan
 from tests.restoration.conftest import HEIGHT, WIDTH, diapir_scene, diapir_top
 

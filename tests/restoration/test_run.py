@@ -14,7 +14,7 @@ from restoration.output import RECORD
 from restoration.run import Job, StopRequest, locked, march, next_time, run_job
 from restoration.saved import read_particles
 from restoration.scene import OutputPlan, TimePlan, Wall
-from tests.restoration.conftest import MYR, diapir_scene
+from tests.restoration.conftest import MYR, PlainEngine, diapir_scene
 
 
 @dataclass(frozen=True)
@@ -22,14 +22,11 @@ class FakeState:
     time: float
 
 
-class FakeEngine:
+class FakeEngine(PlainEngine):
     """An engine without physics: the loop must not need any."""
 
     def __init__(self, stable):
         self.stable = stable
-
-    def with_flow(self, state):
-        return state
 
     def stable_step(self, state, mark):
         return self.stable

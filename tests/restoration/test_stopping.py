@@ -17,7 +17,7 @@ from restoration.run import Job, march, run_job
 from restoration.scene import Line, Outline, StopPlan, TimePlan, Wall
 from restoration.state import State
 from restoration.stopping import Stopping, depth, flatness, relief
-from tests.restoration.conftest import HEIGHT, MYR, WIDTH, diapir_scene
+from tests.restoration.conftest import HEIGHT, MYR, WIDTH, PlainEngine, diapir_scene
 
 SLIP = Wall("free-slip", (0.0, None), (0.0, 0.0))
 STUCK = Wall("no-slip", (0.0, 0.0), (0.0, 0.0))
@@ -79,7 +79,7 @@ def test_a_scar_does_not_outweigh_what_is_flat():
 # -- landing --------------------------------------------------------------------------------------
 
 
-class Waves:
+class Waves(PlainEngine):
     """An engine without physics: a wave whose amplitude is a function of time."""
 
     def __init__(self, amplitude, step):
@@ -89,12 +89,6 @@ class Waves:
         x = np.linspace(0, 1, 101)
         points = np.column_stack([x, self.amplitude(time) * np.cos(np.pi * x)])
         return State(time, None, begin([Line("salt / sediment", "horizon", points)], np.inf))
-
-    def with_flow(self, state):
-        return state
-
-    def taken_over(self, state):
-        return state
 
     def stable_step(self, state, mark):
         return self.step
