@@ -26,7 +26,7 @@ from restoration.resolve import load
 from restoration.run import march
 from restoration.surface import line_area
 
-SHAPES, QUICK = 200, 40
+SHAPES, QUICK = 64, 40
 PATIENCE = 120  # s that a shape may take; the slowest took a tenth of that
 RESIDUAL, AREA = 1e-8, 1e-6  # true relative residual; change of the area in two steps
 CUT = 2e-3  # of the area, that the cells below a free surface may cut off or add
