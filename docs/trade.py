@@ -1,7 +1,7 @@
 """The fronts of docs/trade.md: ``.venv/bin/python docs/trade.py [NAME...]``, by default all.
 
-Each is swept by the command that its block of the page begins with, kept in docs/trade/, and its
-block written anew. With ``--page`` nothing is swept.
+Each is searched by the command that its block of the page begins with, kept in docs/trade/, and its
+block written anew. With ``--page`` nothing is searched.
 """
 
 import argparse
@@ -16,8 +16,8 @@ from restoration.trade.trials import Trial
 
 ROOT = Path(__file__).parents[1]
 PAGE, KEPT = ROOT / "docs/trade.md", ROOT / "docs/trade"
-# Case or benchmark by the name of its files, and overrides that keep the sweep short.
-SWEEPS = {
+# Case or benchmark by the name of its files, and overrides that keep the search short.
+SUBJECTS = {
     "rayleigh-taylor": ("rayleigh-taylor",),
     "falling-block": ("falling-block",),
     "solcx": ("solcx",),
@@ -45,21 +45,21 @@ SWEEPS = {
 
 
 def measure(name):
-    """Sweep a case or a benchmark by the command, and keep what it finds."""
-    what, *sets = SWEEPS[name]
+    """Search a case or a benchmark by the command, and keep what it finds."""
+    what, *sets = SUBJECTS[name]
     flags = [part for text in sets for part in ("--set", text)]
     command = [sys.executable, "-m", "restoration.cli", "trade", what, *flags, "--out", str(KEPT)]
     subprocess.run(command, check=True, cwd=ROOT, stdout=subprocess.DEVNULL)
 
 
 def kept(name):
-    """Return what a sweep has found, or None where it was not made yet."""
+    """Return what a search has found, or None where it was not made yet."""
     path = KEPT / f"{name}.json"
     return json.loads(path.read_text(encoding="utf-8")) if path.is_file() else None
 
 
 def block(name):
-    """Return what the page says of a sweep."""
+    """Return what the page says of a search."""
     found = kept(name)
     ahead = [row.pop("front") for row in found["trials"]]
     trials = [Trial(**{**row, "axes": tuple(row["axes"])}) for row in found["trials"]]
@@ -87,7 +87,7 @@ def presets():
     rows = [("preset", *next(iter(PRESETS.values())))]
     rows += [(name, *map(str, preset.values())) for name, preset in PRESETS.items()]
     gave = [("case", *(f"{name}{way}" for way in ("", ", fitted") for name in PRESETS))]
-    for name in SWEEPS:
+    for name in SUBJECTS:
         found = kept(name)
         trials = {trial["label"]: trial for trial in found["trials"]} if found else {}
         texts = [gave_text(trials.get(f"preset {column}")) for column in gave[0][1:]]
@@ -110,7 +110,7 @@ def gave_text(trial):
 def write_page():
     """Write the blocks of the page anew, between their marks."""
     text = PAGE.read_text(encoding="utf-8")
-    blocks = {name: block(name) for name in SWEEPS if kept(name)} | {"presets": presets()}
+    blocks = {name: block(name) for name in SUBJECTS if kept(name)} | {"presets": presets()}
     for name, written in blocks.items():
         begin, end = f"<!-- {name} -->", f"<!-- end of {name} -->"
         head, rest = text.split(begin)
@@ -120,14 +120,14 @@ def write_page():
 
 
 def main():
-    """Sweep what is asked for, and write the page."""
+    """Search what is asked for, and write the page."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("names", nargs="*", metavar="NAME", help=f"of {', '.join(SWEEPS)}")
-    parser.add_argument("--page", action="store_true", help="sweep nothing, write the page")
+    parser.add_argument("names", nargs="*", metavar="NAME", help=f"of {', '.join(SUBJECTS)}")
+    parser.add_argument("--page", action="store_true", help="search nothing, write the page")
     given = parser.parse_args()
-    if wrong := [name for name in given.names if name not in SWEEPS]:
-        parser.error(f"no sweep {wrong[0]!r}; there are {', '.join(SWEEPS)}")
-    for name in [] if given.page else given.names or SWEEPS:
+    if wrong := [name for name in given.names if name not in SUBJECTS]:
+        parser.error(f"no search {wrong[0]!r}; there are {', '.join(SUBJECTS)}")
+    for name in [] if given.page else given.names or SUBJECTS:
         measure(name)
     write_page()
 

@@ -21,6 +21,9 @@ FLAT = 1e-9  # area per squared edges of a cell that is none
 GMSH = {
     "General.Terminal": 0,
     "General.Verbosity": 0,
+    # An error inside its parallel loops would end the process, with no message; what comes of one
+    # is seen by `_labelled`.
+    "General.AbortOnError": 0,
     "Mesh.Algorithm": 6,  # frontal Delaunay
     "Mesh.MeshSizeExtendFromBoundary": 0,
     "Mesh.MeshSizeFromPoints": 0,
@@ -169,6 +172,8 @@ def _field(gmsh, nodes, edges, sizes):
 
 def _labelled(x, cells, edges, tags):
     """Return the `Arrays` of a mesh with its regions numbered, and a point in each region."""
+    if not len(cells):
+        raise MeshingError("gmsh made no cells; draw the lines farther apart")
     corners = x[cells]
     sides = np.roll(corners, -1, axis=1) - corners
     area = 0.5 * (sides[:, 0, 0] * sides[:, 1, 1] - sides[:, 0, 1] * sides[:, 1, 0])
@@ -182,6 +187,11 @@ def _labelled(x, cells, edges, tags):
     lost = edges[~np.isin(line_keys, keys)]
     if len(lost):
         raise MeshingError(f"a line was lost near {place(x[lost[0]].mean(axis=0))}")
+    sides_of = np.where(np.isin(keys, line_keys[tags > 0]), 1, 2)
+    torn = np.flatnonzero(np.bincount(key_of) != sides_of)
+    if len(torn) or (area > 0).any() != (area > 0).all():
+        row = np.flatnonzero(key_of == torn[0])[0] // 3 if len(torn) else np.argmin(area)
+        raise MeshingError(f"cells overlap or leave a gap near {place(corners[row].mean(axis=0))}")
     order = np.argsort(key_of, kind="stable")
     twin = np.flatnonzero(key_of[order[:-1]] == key_of[order[1:]])
     free = twin[~np.isin(keys[key_of[order[twin]]], line_keys)]

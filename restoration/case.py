@@ -14,6 +14,7 @@ from restoration.units import advice
 from restoration.words import hint, listed, nearest, quoted
 
 FITTED = ("fitted", "auto")  # of mesh.interfaces: with mesh lines that follow the rock
+MOST_TOLD = 100  # wrong entries for which the one meant is looked for
 SYNONYMS = {"top": "surface", "bottom": "base", "walls": "boundary", "colour": "color"}
 # Entries of a section that only a file has a use for.
 FILE_ENTRIES = ("property", "rock_property", "coordinates", "vertical", "tolerance")
@@ -37,28 +38,40 @@ def read_case(path, overrides=()):
     if not isinstance(tree.data, dict):
         message = f"holds {quoted(tree.data)} and not entries such as 'section:' and 'rocks:'"
         raise CaseError([*tree.faults, tree.fault((), message)])
-    faults, case = list(tree.faults), None
+    faults, case, more = list(tree.faults), None, 0
     try:
         case = Case.model_validate(tree.data)
     except ValidationError as error:
-        faults += _told(tree, error.errors())
+        errors = error.errors()
+        faults += told(tree, errors[:MOST_TOLD])
+        more = max(0, len(errors) - MOST_TOLD)
     faults += _cross_faults(tree)
     if faults:
-        placed = sorted(faults, key=lambda f: (f.line is None, f.line or 0, f.column or 0))
-        placed = list(dict.fromkeys(placed))
-        raise CaseError(shortened(placed))
+        raise CaseError(in_order(faults, more))
     return case, text, tree
 
 
-def _told(tree, errors):
-    """Return a fault for every error; a misspelt name is not told as missing too."""
+def in_order(faults, more=0):
+    """Return faults by their place, each once, and not too many; ``more`` are not given."""
+    placed = sorted(faults, key=lambda f: (f.line is None, f.line or 0, f.column or 0))
+    return shortened(list(dict.fromkeys(placed)), more)
+
+
+def told(tree, errors, root=Case):
+    """Return a fault for every error; a misspelt name is not told as missing too.
+
+    Args:
+        tree: `Tree` of the file.
+        errors: of pydantic.
+        root: the model of the whole file.
+    """
     meant = {
-        (*error["loc"][:-1], _meant(error["loc"][-1], _names_at(error["loc"][:-1])))
+        (*error["loc"][:-1], _meant(error["loc"][-1], _names_at(error["loc"][:-1], root)))
         for error in errors
         if error["type"] == "extra_forbidden"
     }
     return [
-        _fault(tree, error)
+        _fault(tree, error, root)
         for error in errors
         if error["type"] != "missing" or error["loc"] not in meant
     ]
@@ -70,12 +83,12 @@ def _meant(name, known):
     return nearest(name, known) or (synonym if synonym in known else None)
 
 
-def _fault(tree, found):
+def _fault(tree, found, root):
     """Return the fault behind one error of pydantic."""
     path = tuple(part for part in found["loc"] if part != "[key]")
     kind, context = found["type"], found.get("ctx", {})
     if kind == "extra_forbidden":
-        known = _names_at(path[:-1])
+        known = _names_at(path[:-1], root)
         meant = _meant(path[-1], known)
         near = f"; did you mean '{meant}'? (possible: {listed(known)})" if meant else ""
         near = near or hint(path[-1], known)
@@ -104,12 +117,12 @@ def _fault(tree, found):
     told = f"{value} {expected.get(kind, found['msg'])}"
     if found["input"] is None:
         told = "is empty; fill it in or remove it"
-    return tree.fault(path, f"{told}{_group_hint(path, kind)}")
+    return tree.fault(path, f"{told}{_group_hint(path, kind, root)}")
 
 
-def _model_at(path):
+def _model_at(path, root):
     """Return the model of the group at a path."""
-    model = Case
+    model = root
     for part in path:
         if isinstance(part, int) or model is None:
             continue
@@ -134,14 +147,14 @@ def _inner_model(annotation):
     return None
 
 
-def _names_at(path):
+def _names_at(path, root):
     """Return the names of the entries a group may have."""
-    model = _model_at(path)
+    model = _model_at(path, root)
     return list(model.model_fields) if isinstance(model, type) else []
 
 
-def _group_hint(path, kind):
-    names = _names_at(path) if kind in ("model_type", "dict_type") else []
+def _group_hint(path, kind, root):
+    names = _names_at(path, root) if kind in ("model_type", "dict_type") else []
     return f"; its entries are {listed(names, last='and')}" if names else ""
 
 
@@ -150,6 +163,9 @@ def _missing(path):
         ("section",): "; give a box and layers, a file of polygons, or particles",
         ("rocks",): "; give every rock a density and a viscosity",
         ("time",): "; give marks, such as time: {marks: [0 Myr, 6 Myr, 0 Myr]}",
+        ("case",): "; name the case file that is varied, such as case: case.yaml",
+        ("latin", "samples"): "; give the number of runs, such as samples: 20",
+        ("latin", "ranges"): "; such as ranges: {rocks.salt.viscosity: log 1e17 .. 1e19 Pa s}",
         ("time", "marks"): "; such as [0 Myr, 6 Myr, 0 Myr], or ages [0 Ma, 2 Ma] to restore",
     }
     kind = dict.fromkeys(("width", "height", "depth", "amplitude", "wavelength"), "length")

@@ -1,4 +1,4 @@
-"""The command line: ``restore run|check|trade CASE`` and ``restore bench``."""
+"""The command line: ``restore run|check|trade CASE``, ``restore sweep``, ``restore bench``."""
 
 import argparse
 import json
@@ -110,9 +110,12 @@ def _parser():
     trade = commands.add_parser("trade", help="measure what accuracy costs, by settings")
     trade.set_defaults(command=_trade)
     trade.add_argument("case", metavar="CASE-or-BENCH", help="case file, or name of a benchmark")
+    sweep = commands.add_parser("sweep", help="run a case many times with varied entries")
+    sweep.set_defaults(command=_sweep)
+    sweep.add_argument("sweep", metavar="SWEEP", help="sweep file, YAML: docs/sweep.md")
     for command in (run, check):
         command.add_argument("case", metavar="CASE", help="case file, YAML")
-    for command in (run, check, trade):
+    for command in (run, check, trade, sweep):
         command.add_argument(
             "--set",
             action="append",
@@ -135,6 +138,11 @@ def _parser():
     trade.add_argument("--quick", action="store_true", help="few settings")
     trade.add_argument("--json", action="store_true", help="print JSON")
     trade.add_argument("--out", metavar="DIR", help="write JSON and the Pareto plot there")
+    sweep.add_argument("--workers", type=int, metavar="N", help="runs at a time; default: cores")
+    sweep.add_argument("--out", metavar="DIR", help="folder of the sweep; default runs/<sweep>")
+    sweep.add_argument("--list", action="store_true", help="tell what would be run, run nothing")
+    sweep.add_argument("--json", action="store_true", help="print JSON")
+    sweep.add_argument("--quiet", action="store_true", help="no word of single runs")
     check.add_argument("--json", action="store_true", help="print JSON")
     check.add_argument(
         "--forecast",
@@ -293,6 +301,21 @@ def _trade(options):
         options.quick,
         options.out,
         options.json,
+    )
+
+
+def _sweep(options):
+    from restoration.sweep.command import sweep
+
+    return sweep(
+        options.sweep,
+        tuple(options.set),
+        options.allow_outside,
+        options.out,
+        options.workers,
+        options.list,
+        options.json,
+        options.quiet,
     )
 
 

@@ -72,7 +72,9 @@ class Contacts:
         self._walls, edges = self._sides()
         self.chains, self._at, self._off = [], [], np.zeros_like(self._made)
         self._find_chains(edges, crossed)
-        self._nodes = np.unique(np.concatenate([chain.nodes for chain in self.chains]))
+        # none where one rock fills the section
+        nodes = [np.empty(0, np.int64), *(chain.nodes for chain in self.chains)]
+        self._nodes = np.unique(np.concatenate(nodes))
         self._extension = Extension(spaces, self._held(), self._nodes)
 
     def hold(self, lines):

@@ -19,6 +19,7 @@ from restoration.advection import SCHEMES
 from restoration.bands import areas
 from restoration.diagnostics import relief
 from restoration.enclosed import kept
+from restoration.environment import give_memory_back
 from restoration.errors import MeshError, SolveError
 from restoration.free_surface import FreeSurface, with_area, without_cliffs
 from restoration.grid import Grid, units_of_regions
@@ -136,14 +137,16 @@ class StokesEngine:
             self.mesher = self.make_mesher(scene, self.ranks)
             self.cell_size = self.mesher.finest
             lines = self._first_lines()
+            self._guard = FittedGuard(scene, self.mesher.coarsest)
             try:
                 section, points = self.mesher.mesh(lines)
+                self._take(section, lines, self._units(points))
+                if self.fitted:
+                    self._guard.begin(self.grid)
             except MeshError as error:
                 self._leave_to_particles(scene.time.marks[0], error)
-                section, points = self.mesher.mesh(lines)
-            self._take(section, lines, self._units(points))
+                self._take(self.mesher.mesh(lines)[0], lines)
         self.start_area = self.grid.section.area
-        self._guard = FittedGuard(scene, self.mesher.coarsest)
         self._guards = StepGuards(scene, self.ranks, not self.open)
         self._steps, self._last_flow = 0, None
         self.rejected, self._next = 0, np.inf  # steps; the next one by the error of the last, s
@@ -258,6 +261,7 @@ class StokesEngine:
         if self.grid is not None:
             self.grid.stokes.release()
         self.grid = self._grid_of(section, lines, regions)
+        give_memory_back()
         self.meshes += 1
         line = surface_of(lines)
         if regions is not None:
@@ -280,7 +284,7 @@ class StokesEngine:
         known = {"particles": particles, "points": points, "bands": dict(bands)}
         return partial(units_of_regions, **known, scene=self.scene, ranks=self.ranks)
 
-    def memory(self, state):
+    def memory(self, state, gather=True):
         """Return all that the run depends on from a state on, for a checkpoint or another trial.
 
         What is rebuilt from it by `recalled` goes on bit for bit as this engine does. The arrays
@@ -288,12 +292,14 @@ class StokesEngine:
 
         Args:
             state: with its flow, the one solved for last.
+            gather: whether the particles of all ranks are gathered, as a file asks for; else every
+                rank holds its own, and `gathered` makes up for it.
 
         Returns:
             A dict of dicts, lists, numbers, texts and arrays; the same on all ranks.
         """
         flow = state.flow
-        return self.memory_of_rock(state) | {
+        return self.memory_of_rock(state, gather) | {
             "flow": {"u": flow.u, "p": flow.p, "residual": flow.residual},
             "grid": self.grid.memory(),
             "surface": self.surface and self.surface.memory(),
@@ -336,11 +342,17 @@ class StokesEngine:
         particles = self.sharing.dealt(state.particles, self.grid.index)
         return replace(state, particles=particles, flow=flow, grid=self.grid)
 
-    def memory_of_rock(self, state):
+    def gathered(self, memory):
+        """Return a memory with the particles of all ranks."""
+        particles = memory["particles"]["held"]
+        return memory | {"particles": self.sharing.memory(particles)}
+
+    def memory_of_rock(self, state, gather=True):
         """Return where the rock is in a state, as `memory` does; see `rock_of`."""
+        particles = self.sharing.memory if gather else self.sharing.held
         return {
             "time": state.time,
-            "particles": self.sharing.memory(state.particles),
+            "particles": particles(state.particles),
             "lines": self._memory_of_lines(state.lines),
         }
 

@@ -17,9 +17,9 @@ from pydantic import (
 )
 
 from restoration.fault_entries import FaultEntry
-from restoration.kinds import Entry, Length, Name, Size, quantity, read_names, words
+from restoration.kinds import Entry, FilePath, Length, Name, Size, quantity, read_names, words
 from restoration.units import UNITS, Quantity, parse, show
-from restoration.words import hint, listed, quoted
+from restoration.words import hint, listed, quoted, wrong_name
 
 # Defaults by accuracy; the measurements behind them are in docs/trade.md.
 PRESETS = {
@@ -276,8 +276,8 @@ class Section(Entry):
 
     box: Box | None = None
     layers: list[Layer] | None = None
-    file: Name | None = None
-    particles: Name | None = None
+    file: FilePath | None = None
+    particles: FilePath | None = None
     property: Name = "unit"
     rock_property: Name | None = None
     coordinates: words("m", "km") = "m"
@@ -524,6 +524,13 @@ def read_certificate(value, read):
     return "off" if value == "off" or value is False else read(value)
 
 
+def rock_name(name):
+    """Return the name of a rock as it stands."""
+    if wrong := wrong_name(name):
+        raise ValueError(f"{quoted(name)} {wrong}")
+    return name
+
+
 def not_empty(rocks):
     """Refuse an empty rock table."""
     if not rocks:
@@ -536,7 +543,9 @@ class Case(Entry):
 
     title: Name | None = None
     section: Section
-    rocks: Annotated[dict[str, RockEntry], AfterValidator(not_empty)]
+    rocks: Annotated[
+        dict[Annotated[str, AfterValidator(rock_name)], RockEntry], AfterValidator(not_empty)
+    ]
     faults: list[FaultEntry] | None = None
     boundary: Boundary = Boundary()
     surface: Surface | None = None

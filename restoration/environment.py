@@ -5,6 +5,7 @@
 
 import atexit
 import contextlib
+import ctypes
 import fcntl
 import hashlib
 import logging
@@ -17,6 +18,7 @@ from importlib.machinery import PathFinder
 from pathlib import Path
 
 from restoration.errors import EnvironmentFault
+from restoration.writing import write_text
 
 SYSTEM_SITE = Path("/usr/lib/python3/dist-packages")
 LIBRARIES = Path("/usr/lib") / sys.implementation._multiarch
@@ -28,21 +30,34 @@ DEBIAN_MODULES = {
     "scipy": "python3-scipy",
 }
 VENV_MODULES = ("matplotlib", "numba", "pydantic", "ruamel", "shapely")
+# What libraries read from the working folder by themselves: settings that can start programs, load
+# libraries and write files. Nobody asks whether that is the folder of a stranger.
+SETTINGS = {
+    ".petscrc": "PETSc",
+    "petscrc": "PETSc",
+    ".numba_config.yaml": "Numba",
+    "matplotlibrc": "Matplotlib",
+    "dolfinx_jit_parameters.json": "DOLFINx",
+    "ffcx_parameters.json": "FFCx",
+}
+LONGEST_BUILD = 600.0  # s, of a form, on the busiest machine
 STALE = 60.0  # s, age of a half-built form that no living process can still be building
 
 
-def check_environment(path=None, system=SYSTEM_SITE, libraries=LIBRARIES):
+def check_environment(path=None, system=SYSTEM_SITE, libraries=LIBRARIES, here=Path()):
     """Return what slows the work or spoils pictures, one line each; loads no library.
 
     Args:
         path: folders that modules are imported from; None for ``sys.path``.
         system: folder of Debian's Python modules.
         libraries: folder of Debian's shared libraries.
+        here: the working folder.
 
     Raises:
-        EnvironmentFault: numpy is not the one dolfinx was built for, or a package is missing.
+        EnvironmentFault: numpy is not the one dolfinx was built for, a package is missing, or the
+            working folder holds settings that libraries would follow.
     """
-    faults = _missing_modules(path) + _wrong_numpy(path, system)
+    faults = _missing_modules(path) + _wrong_numpy(path, system) + _settings(here)
     if faults:
         raise EnvironmentFault("\n".join(faults))
     warnings = []
@@ -88,6 +103,15 @@ def _wrong_numpy(path, system):
     return [f"numpy {found} in {site} hides {built_for}, which dolfinx was built for; {advice}"]
 
 
+def _settings(here):
+    return [
+        f"the working folder holds {name}, and {library} would do what that says, to the starting "
+        "of programs; remove it, or work in another folder"
+        for name, library in SETTINGS.items()
+        if os.path.lexists(here / name)
+    ]
+
+
 def _numpy_version(site):
     """Return the version by the metadata beside the package; None where there is none."""
     for entry in site.glob("numpy-*-info"):
@@ -115,6 +139,12 @@ def blas(libraries=LIBRARIES, maps="/proc/self/maps"):
         return "reference"
     versions = [re.search(r"-r([\d.]+)\.so$", entry.name) for entry in folder.glob("*.so")]
     return " ".join([folder.name, *(version[1] for version in versions if version)])
+
+
+def give_memory_back():
+    """Give the system back what was freed and the C library keeps, in pieces too small to reuse."""
+    with contextlib.suppress(AttributeError):  # of GNU's alone
+        ctypes.CDLL(None).malloc_trim(0)
 
 
 def versions():
@@ -160,7 +190,7 @@ def jit_cache(name="fenics"):
 
 
 def use_jit_cache():
-    """Keep compiled forms in `jit_cache`, cleaned of half-built ones, and compile without a word.
+    """Keep compiled forms in `jit_cache`, mended where that is damaged, and compile without a word.
 
     Returns:
         The folder.
@@ -169,7 +199,9 @@ def use_jit_cache():
     import ffcx.codegeneration.jit as compiler
 
     if not hasattr(compiler.get_cached_module, "remembered"):
-        compiler.get_cached_module = _remembering(compiler.get_cached_module)
+        builds = Builds()
+        compiler.get_cached_module = _remembering(builds.finding(compiler.get_cached_module))
+        compiler._compile_objects = builds.compiling(compiler._compile_objects)
     folder = jit_cache()
     _join(folder)
     parameters = dolfinx.jit.DOLFINX_DEFAULT_JIT_PARAMETERS
@@ -178,6 +210,7 @@ def use_jit_cache():
     for handler in logging.getLogger().handlers:
         if type(handler) is logging.StreamHandler:  # FFCx's, not one of a log file
             handler.setLevel(logging.WARNING)  # setuptools tells every compiler call as INFO
+    _mend_numba()
     return folder
 
 
@@ -199,6 +232,140 @@ def _remembering(find):
 
     found.remembered = remembered
     return found
+
+
+class Builds:
+    """What this process builds in a cache of FFCx, one process at a time for each module.
+
+    FFCx takes ``x.c`` for its lock, which outlives a killed process, and loads whatever library
+    lies there, which ends a process where it was cut off. Here a lock of the system ends with its
+    process, and a library is loaded only where it is as long and as it was when it was built
+    (``x.sum``); else it is built again.
+    """
+
+    def __init__(self):
+        self._locks = {}  # of modules that are being built, by name
+
+    def finding(self, find):
+        """Return FFCx's `get_cached_module`, which finds what is sound, and waits for others."""
+
+        def found(module_name, object_names, cache_dir, timeout):
+            stem = Path(cache_dir) / module_name
+            with contextlib.ExitStack() as stack:
+                lock, ours = _lock_of(stem)
+                stack.callback(lock.close)
+                if not _sound(stem) and (ours or _file(stem, ".c.cached").exists()):
+                    _remove_build(stem)
+                try:
+                    objects, module = find(module_name, object_names, cache_dir, timeout)
+                except (TimeoutError, ImportError, AttributeError):
+                    # left by a process that knew no lock, or not what it is called
+                    _remove_build(stem)
+                    objects, module = find(module_name, object_names, cache_dir, timeout)
+                if objects is None:  # to be compiled; until then nobody else may
+                    self._locks[module_name] = stack.pop_all()
+            return objects, module
+
+        return found
+
+    def compiling(self, build):
+        """Return FFCx's `_compile_objects`, which notes what it has built and lets others in."""
+
+        def built(decl, ufl_objects, object_names, module_name, parameters, cache_dir, *more):
+            with self._locks.pop(module_name, contextlib.nullcontext()):
+                content = build(
+                    decl, ufl_objects, object_names, module_name, parameters, cache_dir, *more
+                )
+                stem = Path(cache_dir) / module_name
+                write_text(_file(stem, ".sum"), _sum_of(stem))
+            return content
+
+        return built
+
+
+def _file(stem, suffix):
+    return stem.with_name(stem.name + suffix)
+
+
+def _lock_of(stem):
+    """Wait for the lock of a module.
+
+    Returns:
+        The lock, an open file; and whether a build that is there was begun under it.
+
+    Raises:
+        EnvironmentFault: another process does not give it back.
+    """
+    path = _file(stem, ".lock")
+    path.parent.mkdir(exist_ok=True, parents=True)
+    ours, limit = path.exists(), time.monotonic() + LONGEST_BUILD
+    lock = path.open("w")
+    while True:
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            return lock, ours
+        except BlockingIOError:
+            ours = True  # whoever holds it has made it
+            if time.monotonic() > limit:
+                lock.close()
+                raise EnvironmentFault(
+                    f"{path}: another process has been compiling for {LONGEST_BUILD:.0f} s; end it"
+                ) from None
+            time.sleep(0.05)
+        except OSError:  # a file system without locks: what is half-built goes by its age
+            return lock, False
+
+
+def _sound(stem):
+    """Return whether a module is built, and its library as it was then."""
+    try:
+        kept = _file(stem, ".sum").read_text()
+        whole = all(_file(stem, suffix).exists() for suffix in (".c", ".c.cached"))
+        return whole and kept == _sum_of(stem)
+    except (OSError, UnicodeDecodeError):
+        return False
+
+
+def _sum_of(stem):
+    """Return length and hash of the library of a module."""
+    content = b"".join(path.read_bytes() for path in _libraries(stem))
+    return f"{len(content)} {hashlib.sha256(content).hexdigest()}\n"
+
+
+def _remove_build(stem):
+    """Remove all of a module but its lock, that which says it is built first."""
+    for suffix in (".c.cached", ".sum", ".o", ".c"):
+        _file(stem, suffix).unlink(missing_ok=True)
+    for library in _libraries(stem):
+        library.unlink(missing_ok=True)
+
+
+def _libraries(stem):
+    """Return the library of a module in a list, empty where there is none."""
+    return sorted(stem.parent.glob(f"{stem.name}.*.so"))
+
+
+def _mend_numba():
+    """Have numba compile again what it cannot read from its cache; it ends with a traceback."""
+    from numba.core.caching import IndexDataCacheFile as Cache
+
+    for name, nothing in (("_load_index", dict), ("load", lambda: None)):
+        read = getattr(Cache, name)
+        if not hasattr(read, "unmended"):
+            setattr(Cache, name, _or_nothing(read, nothing))
+
+
+def _or_nothing(read, nothing):
+    """Return a method that returns nothing where its file is damaged."""
+
+    def mended(*arguments):
+        try:
+            return read(*arguments)
+        except Exception:  # unpickling what is damaged raises anything
+            return nothing()
+
+    mended.unmended = read
+    return mended
 
 
 def use_numba_cache():
@@ -277,8 +444,7 @@ def remove_half_built(folder, age=STALE):
         with contextlib.suppress(FileNotFoundError):  # another process does the same
             half_built = not source.with_suffix(".c.cached").exists()
             if half_built and time.time() - source.stat().st_mtime >= age:
-                source.with_suffix(".o").unlink(missing_ok=True)
-                source.unlink()
+                _remove_build(source.with_suffix(""))
 
 
 def warm():

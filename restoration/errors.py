@@ -7,6 +7,8 @@ Everything else that escapes is a bug and keeps its traceback.
 import errno
 from dataclasses import dataclass
 
+from restoration.words import printable
+
 # How libraries tell that they were refused memory, where their errors have no number for it.
 MEMORY_WORDS = (
     "bad_alloc",
@@ -53,7 +55,9 @@ class Fault:
     def __str__(self):
         place = [self.file, self.line, self.column]
         parts = [":".join(str(part) for part in place if part is not None), self.entry]
-        return ": ".join([part for part in parts if part] + [" ".join(self.message.split())])
+        return printable(
+            ": ".join([part for part in parts if part] + [" ".join(self.message.split())])
+        )
 
 
 class CaseError(RestorationError):

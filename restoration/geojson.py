@@ -8,11 +8,15 @@ import numpy as np
 
 from restoration.errors import CaseError, Fault
 from restoration.files import MB, read_text
-from restoration.words import counted, hint, quoted
+from restoration.words import counted, hint, quoted, wrong_name
 
 LARGEST = 50 * MB
 MOST_VERTICES = 1_000_000
 MOST_FEATURES = 30_000
+# Lists, groups and values that so many features and vertices (of three numbers) can make: what is
+# parsed takes memory for each of them.
+MOST_BRACKETS = 2_000_000
+MOST_COMMAS = 5_000_000
 EXPORT = "export the layer as GeoJSON (in QGIS: Export, Save Features As)"
 SKIPPED = "skipped: a section is drawn with polygons, and lines for faults"
 
@@ -74,8 +78,10 @@ def read_collection(path, shown):
         CaseError: it is no such file; see `restoration.files.read_text`.
     """
     text = read_text(path, shown, LARGEST)
+    if text.count("[") + text.count("{") > MOST_BRACKETS or text.count(",") > MOST_COMMAS:
+        raise _refused(shown, f"has more than {MOST_VERTICES:,} vertices; simplify the lines")
     try:
-        data = json.loads(text, parse_constant=_no_constant)
+        data = json.loads(text, parse_constant=_no_constant, object_pairs_hook=_no_double)
     except json.JSONDecodeError as error:
         fault = Fault(shown, error.lineno, error.colno, "", _syntax(text, error))
         raise CaseError([fault]) from None
@@ -99,6 +105,16 @@ def read_collection(path, shown):
 
 def _no_constant(name):
     raise ValueError(f"holds {name}, which is no coordinate; delete or correct that vertex")
+
+
+def _no_double(pairs):
+    """Return a group of entries, none of which is there twice: programs differ in which counts."""
+    group = dict(pairs)
+    if len(group) < len(pairs):
+        names = [name for name, _ in pairs]
+        double = next(name for name in names if names.count(name) > 1)
+        raise ValueError(f"gives {quoted(double)} twice in one group of entries; keep one")
+    return group
 
 
 def _syntax(text, error):
@@ -150,7 +166,10 @@ def read_drawing(data, shown, unit_property, rock_property=None, scale=1.0, sign
             continue
         if not area:
             name = _text(values.get("name") or values.get(unit_property)) or f"fault {number}"
-            drawing.faults += [(name, line) for line in parts[0] if len(line) > 1]
+            if wrong := wrong_name(name):
+                drawing.refuse(entry, f"its name {quoted(name)} {wrong}")
+            else:
+                drawing.faults += [(name, line) for line in parts[0] if len(line) > 1]
             continue
         unit = entry if unit_property is None else _unit(drawing, entry, values, unit_property)
         for rings in parts:
@@ -283,6 +302,8 @@ def _unit(drawing, entry, values, name):
         drawing.refuse(entry, f"its '{name}' is {quoted(value)}; write the name of the unit")
     elif not unit:
         drawing.refuse(entry, f"has no unit: its property '{name}' is missing or empty; fill it in")
+    elif wrong := wrong_name(unit):
+        drawing.refuse(entry, f"its unit {quoted(unit)} {wrong}")
     return unit
 
 

@@ -5,7 +5,9 @@ from typing import Annotated
 from pydantic import BaseModel, ConfigDict, PlainValidator
 
 from restoration.units import Quantity, parse, show
-from restoration.words import hint, listed, quoted
+from restoration.words import LONGEST_NAME, hint, listed, quoted, wrong_name
+
+LONGEST_PATH = 1000  # characters
 
 
 class Entry(BaseModel):
@@ -42,18 +44,28 @@ def words(*known):
     return Annotated[str, PlainValidator(read)]
 
 
-def read_name(value):
+def read_name(value, longest=LONGEST_NAME):
     """Return a name; numbers become text."""
-    if isinstance(value, bool) or not isinstance(value, (str, int)) or not str(value).strip():
+    if isinstance(value, bool) or not isinstance(value, (str, int)):
         raise ValueError(f"{quoted(value)} is not a name")
-    return str(value).strip()
+    if wrong := wrong_name(name := str(value).strip(), longest):
+        raise ValueError(f"{quoted(value)} {wrong}")
+    return name
 
 
 def read_names(value):
     """Return a tuple of names from one or a list."""
+    if value == []:
+        raise ValueError("names nothing; write a name, or a list of names")
     return tuple(read_name(entry) for entry in (value if isinstance(value, list) else [value]))
 
 
-Name = Annotated[str, PlainValidator(read_name)]
+def read_path(value):
+    """Return the path of a file, which may be longer than a name."""
+    return read_name(value, LONGEST_PATH)
+
+
+Name = Annotated[str, PlainValidator(lambda value: read_name(value))]
+FilePath = Annotated[str, PlainValidator(read_path)]
 Length = quantity("length")
 Size = quantity("length", above=0.0, low=1e-3, high=1e8)

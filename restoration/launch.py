@@ -74,9 +74,7 @@ def run_on_ranks(count, arguments):
         print(
             f"warning: {count} ranks on {cores()} cores are slower than {cores()}", file=sys.stderr
         )
-    environment = dict(os.environ)
-    home = str(Path(__file__).parents[1])
-    environment["PYTHONPATH"] = os.pathsep.join([home, *filter(None, [os.getenv("PYTHONPATH")])])
+    environment = child_environment()
     if os.getuid() == 0:  # in a container there may be nobody else; OpenMPI asks twice
         environment |= {"OMPI_ALLOW_RUN_AS_ROOT": "1", "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM": "1"}
     command = [mpirun, "--quiet", "--oversubscribe", "-n", str(count), sys.executable]
@@ -90,7 +88,7 @@ def run_on_ranks(count, arguments):
         env=environment,
         stdin=subprocess.DEVNULL,
         start_new_session=True,
-        preexec_fn=_end_with_parent,
+        preexec_fn=end_with_parent,
     ) as ranks:
         code = None
         while code is None:
@@ -103,8 +101,20 @@ def run_on_ranks(count, arguments):
     return _code(code, asked)
 
 
-def _end_with_parent():
-    """Have this process, mpirun, ended where the one that started it dies."""
+def child_environment(one_thread=False):
+    """Return the environment of a child that is to find this very package.
+
+    Args:
+        one_thread: whether the child is one thread, as one of several that share the machine.
+    """
+    home = str(Path(__file__).parents[1])
+    paths = os.pathsep.join([home, *filter(None, [os.getenv("PYTHONPATH")])])
+    threads = dict.fromkeys(THREADS, "1") if one_thread else {}
+    return os.environ | {"PYTHONPATH": paths} | threads
+
+
+def end_with_parent():
+    """Have this process, a child before it begins, asked to end where the one above it dies."""
     ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGTERM)
 
 

@@ -55,20 +55,20 @@ def expected(scene, folder=KEPT):
     if scene.dim == 3:  # the fronts are of two dimensions
         return None
     found = [json.loads(path.read_text(encoding="utf-8")) for path in sorted(folder.glob("*.json"))]
-    found = [sweep for sweep in found if sweep["about"]]
+    found = [search for search in found if search["about"]]
     if not found:
         return None
     kind = kind_of(scene)
-    sweep = min(found, key=lambda sweep: _unlike(kind, sweep["about"]))
-    scale = kind["height_m"] / sweep["about"]["height_m"]
+    search = min(found, key=lambda search: _unlike(kind, search["about"]))
+    scale = kind["height_m"] / search["about"]["height_m"]
     # What is below the error of the reference is not known to be better than that.
-    least = sweep["truth_good_to"] or 0.0
+    least = search["truth_good_to"] or 0.0
     errors = {
         row["label"]: max(row["error"], least)
-        for row in sweep["trials"]
+        for row in search["trials"]
         if row["error"] is not None
     }
-    as_it_is = errors if sweep["about"]["interfaces"] == "particles" else {}
+    as_it_is = errors if search["about"]["interfaces"] == "particles" else {}
     carried, fitted = {}, {}
     for name in PRESETS:
         plain, lines = f"preset {name}", f"preset {name}, fitted"
@@ -80,8 +80,8 @@ def expected(scene, folder=KEPT):
             fitted[name] = scale * errors[lines]
     if kind["interfaces"] != "particles":
         carried, fitted = fitted, {}
-    like = _unlike(kind, sweep["about"]) == 0
-    return Expected(sweep["name"], sweep["command"], like, carried, fitted)
+    like = _unlike(kind, search["about"]) == 0
+    return Expected(search["name"], search["command"], like, carried, fitted)
 
 
 def _unlike(kind, other):

@@ -40,7 +40,7 @@ from restoration.scene import (
     Unit,
     normal_velocity,
 )
-from restoration.shapes import find_source, from_file, from_layers, on_columns
+from restoration.shapes import digest_of, find_source, from_file, from_layers, on_columns
 from restoration.stopping import find_stop
 from restoration.stopping import notes as stop_notes
 from restoration.units import Quantity
@@ -86,6 +86,8 @@ def load(path, overrides=(), allow_outside=False):
     case, text, tree = read_case(path, overrides)
     source, digest = find_source(case, path, tree, allow_outside)
     shape = from_layers(case, tree) if source is None else from_file(case, source, tree)
+    if source is not None and digest_of(source, str(source.name)) != digest:
+        raise CaseError([tree.fault(("section",), f"{source.name} was changed while it was read")])
     names, dim = (BOX_WALLS, 3) if _has_length(case) else (WALLS, 2)
     walls = {name: wall_of(name, getattr(case.boundary, name), dim) for name in names}
     faults = _wall_faults(case, walls, shape, tree) if dim == 2 else []

@@ -14,8 +14,8 @@ def stepped(engine, state, until):
 
     Args:
         engine: offers ``advance(state, until)``, ``with_flow(state)``, ``guard(state)``,
-            ``memory(state)``, ``recalled(memory)`` and ``facts()``; has ``longest``, ``retried``
-            and ``notes``.
+            ``memory(state, gather)``, ``recalled(memory)``, ``gathered(memory)`` and ``facts()``;
+            has ``longest``, ``retried`` and ``notes``.
         state: with its flow.
         until: model time, s.
 
@@ -25,7 +25,7 @@ def stepped(engine, state, until):
         TooLargeError: at once: a shorter step needs no less memory.
     """
     begin, retried, first, notes = state.time, engine.retried, until - state.time, []
-    memory = engine.memory(state)
+    memory = engine.memory(state, gather=False)
     for halvings in range(MOST_HALVINGS + 1):
         dt = first / 2**halvings
         try:
@@ -43,5 +43,5 @@ def stepped(engine, state, until):
         engine.longest = GROWTH * longest
         return after
     ended = type(failure)(f"{failure}; shorter steps, down to {show(dt, 'time')}, have failed too")
-    ended.memory, ended.facts = memory, facts
+    ended.memory, ended.facts = engine.gathered(memory), facts
     raise ended from failure

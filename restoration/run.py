@@ -9,6 +9,7 @@ import json
 import os
 import signal
 import tempfile
+import time
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from math import ceil
@@ -230,19 +231,35 @@ def clear(folder):
 
 
 @contextmanager
-def locked(folder):
+def locked(folder, what="run", patience=0.0):
     """Keep other runs out of a run folder as long as this one works in it.
+
+    Args:
+        folder: pathlib.Path of it.
+        what: works in it, for the message.
+        patience: seconds to wait for one that is about to end.
+
+    Yields:
+        The lock, an open file: a child that inherits it keeps the folder as long as it lives.
 
     Raises:
         CaseError: another run is at work in it.
     """
     name = hashlib.sha256(str(folder.absolute()).encode()).hexdigest()[:16]
-    with open(Path(tempfile.gettempdir()) / f"restore-{os.getuid()}-{name}.lock", "w") as lock:
-        try:
-            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            raise CaseError(f"{folder}: another run is at work in it; give another --out") from None
-        yield
+    path = Path(tempfile.gettempdir()) / f"restore-{os.getuid()}-{name}.lock"
+    limit = time.monotonic() + patience
+    with open(path, "w") as lock:
+        while True:
+            try:
+                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                break
+            except BlockingIOError:
+                if time.monotonic() >= limit:
+                    raise CaseError(
+                        f"{folder}: another {what} is at work in it; give another --out"
+                    ) from None
+            time.sleep(0.05)
+        yield lock
 
 
 class StopRequest:

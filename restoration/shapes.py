@@ -6,8 +6,9 @@ from pathlib import Path
 
 import numpy as np
 
+from restoration import cloud, geojson, saved
 from restoration.errors import CaseError
-from restoration.files import inside, near_file
+from restoration.files import digest, inside, near_file
 from restoration.scene import Cloud, Line, Outline, Sheet
 from restoration.units import show
 from restoration.words import hint, listed
@@ -19,6 +20,17 @@ WAVE_POINTS = 40  # of a horizon, in one wave
 MOST_POINTS = 8000
 SHEET_POINTS = 101  # of a horizon in three dimensions, along the longer side
 SHEET_WAVE_POINTS, MOST_SHEET_POINTS = 16, 401
+# What is read, by the end of its name, with the greatest size, bytes.
+READ = {
+    "file": dict.fromkeys((".geojson", ".json"), geojson.LARGEST),
+    "particles": dict.fromkeys((".csv", ".txt"), cloud.LARGEST) | {".h5": saved.LARGEST},
+}
+KINDS = {
+    "file": "a section is a .geojson: export the layer as GeoJSON (in QGIS: Export, Save Features "
+    "As); particles are named as section.particles",
+    "particles": "particles are a .csv with the columns x, z and unit, or the particles.h5 of a "
+    "run; polygons are named as section.file",
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,22 +53,36 @@ def find_source(case, path, tree, allow_outside):
     name = section.file or section.particles
     if name is None:
         return None, None
-    at = ("section", "file" if section.file else "particles")
+    way = "file" if section.file else "particles"
     try:
         source = inside(path.parent, name, allow_outside)
-    except ValueError as error:
-        raise CaseError([tree.fault(at, str(error))]) from None
-    if not source.is_file():  # nor a folder, a pipe or a device, which may never end
-        message = f"there is no file '{name}' beside the case{near_file(source)}"
-        raise CaseError([tree.fault(at, message)])
-    try:
-        digest = hashlib.sha256()
-        for part in _files_of(source):
-            with open(part, "rb") as file:
-                digest.update(hashlib.file_digest(file, "sha256").digest())
-        return source, digest.hexdigest()
+        if source.suffix.lower() not in READ[way]:
+            raise ValueError(f"'{name}' is of no kind that is read here; {KINDS[way]}")
+        if not source.is_file():  # nor a folder, a pipe or a device, which may never end
+            raise ValueError(f"there is no file '{name}' beside the case{near_file(source)}")
+        if not allow_outside:
+            for part in _files_of(source)[1:]:
+                inside(path.parent, str(part.relative_to(path.parent)))
     except OSError as error:
-        raise CaseError([tree.fault(at, f"'{name}' cannot be read: {error.strerror}")]) from None
+        raise CaseError(
+            [tree.fault(("section", way), f"'{name}' cannot be read: {error.strerror}")]
+        ) from None
+    except ValueError as error:
+        raise CaseError([tree.fault(("section", way), str(error))]) from None
+    return source, digest_of(source, name)
+
+
+def digest_of(source, shown):
+    """Return the sha256 of a section file, with all that belongs to it.
+
+    Raises:
+        CaseError: it cannot be read, or is too large.
+    """
+    longest = READ["file"] | READ["particles"]
+    whole = hashlib.sha256()
+    for part in _files_of(source):
+        whole.update(digest(part, shown, longest[part.suffix.lower()]))
+    return whole.hexdigest()
 
 
 def on_columns(outline, columns, free=False):
@@ -94,9 +120,7 @@ def _files_of(source):
     """Return the files that hold a source: the particles of a run may go on in more than one."""
     if source.suffix.lower() != ".h5":
         return [source]
-    from restoration.saved import parts
-
-    return list(parts(source))
+    return saved.parts(source)
 
 
 def from_layers(case, tree):
@@ -247,9 +271,7 @@ def from_file(case, source, tree):
     section = case.section
     settings = (SCALES[section.coordinates], SIGNS[section.vertical])
     if section.particles:
-        from restoration.cloud import read_cloud
-
-        return _from_cloud(case, read_cloud(source, section.particles, *settings), tree)
+        return _from_cloud(case, cloud.read_cloud(source, section.particles, *settings), tree)
     from restoration.section import read_section
 
     found = read_section(
@@ -301,11 +323,11 @@ def _rocks_of_units(case, units, keys, tree, source):
     return tuple(result)
 
 
-def _from_cloud(case, cloud, tree):
-    """Return the shape of a saved cloud, a tuple of positions, rows and unit names."""
+def _from_cloud(case, found, tree):
+    """Return the shape of a cloud, a tuple of positions, rows and unit names."""
     from scipy.spatial import cKDTree
 
-    x, unit, names = cloud
+    x, unit, names = found
     width, height = case.section.box.width.si, case.section.box.height.si
     low, high = np.array([0.0, -height]), np.array([width, 0.0])
     slack = 1e-9 * max(width, height)

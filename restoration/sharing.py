@@ -12,6 +12,7 @@ import numpy as np
 from restoration.particles import OUTSIDE, Particles, joined, subset
 
 MOST_LOAD = 1.1  # of the mean load, above which cells are dealt out anew
+DEALT = "_owner", "_next_number", "load"
 CLOUD = tuple(name for name in Particles.__dataclass_fields__ if name != "number")
 
 
@@ -66,14 +67,23 @@ class Sharing:
             "load": self.load,
         }
 
+    def held(self, particles):
+        """Return what `memory` does, but the particles of this rank as they are, not gathered."""
+        dealt = {name: getattr(self, name) for name in DEALT}
+        return {"held": particles, "dealt": dealt}
+
     def recalled(self, memory):
         """Return the particles that `memory` returned.
 
         On as many ranks as then every one gets what it had, else all get the whole cloud.
 
         Args:
-            memory: of `memory`, the same on all ranks.
+            memory: of `memory`, the same on all ranks, or of `held`.
         """
+        if "held" in memory:
+            for name, value in memory["dealt"].items():
+                setattr(self, name, value)
+            return memory["held"]
         particles = Particles(**{name: memory[name] for name in CLOUD})
         if not self._ranks.several or memory.get("ranks") != self._ranks.size:
             return particles

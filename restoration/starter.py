@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from restoration.section import survey
-from restoration.words import counted, listed
+from restoration.words import counted, listed, printable
 
 # Typical density, kg/m^3, and viscosity, Pa s, by a word in the name (paper, sect. 4.2).
 TYPICAL = {
@@ -39,7 +39,7 @@ def survey_text(path):
         lines.append(f"# property '{name}': {listed(values, last='and')}")
     lines += [f"# note: {hint}" for hint in found["hints"]]
     lines += [f"# to mend: {fault}" for fault in found["faults"]]
-    return "\n".join([*lines, "", starter_case(path, found)])
+    return "\n".join([*map(printable, lines), "", starter_case(path, found)])
 
 
 def starter_case(path, found):
@@ -92,9 +92,10 @@ def _title(path):
 
 
 def _yaml(text):
-    """Return text as a YAML scalar that stays text."""
+    """Return text as a YAML scalar that stays text, on its line."""
+    text = printable(text)
     plain = text.replace("_", "").replace("-", "").replace(".", "").replace(" ", "")
-    if plain.isalnum() and plain.isascii() and not text[0].isdigit() and text == text.strip():
+    if plain.isalnum() and plain.isascii() and text[0].isalpha() and text == text.strip():
         if text.casefold() not in ("null", "true", "false", "yes", "no", "on", "off"):
             return text
     return "'" + text.replace("'", "''") + "'"

@@ -475,6 +475,7 @@ class StokesProblem:
         PETSc keeps objects that Python has dropped until all ranks agree: a run with a new mesh
         for every step would fill the memory.
         """
+        self.factored = None  # which leads back to the grid: a ring is freed late
         self.solver.release()
         for held in (self.A, self.b, self.x, self.r):
             held.destroy()

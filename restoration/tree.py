@@ -1,9 +1,11 @@
 """A YAML text as plain values, with the line and column of every entry.
 
 The events of the parser are read directly: nothing is constructed, so tags, anchors and aliases
-have no effect before they are refused, and size and depth are bounded while reading.
+have no effect before they are refused. Lines are bounded before reading, entries and depth while
+reading. Numbers are decimal and finite; whatever else looks like one stays text.
 """
 
+import math
 import re
 from dataclasses import dataclass, field
 
@@ -15,12 +17,15 @@ from restoration.errors import CaseError, Fault
 from restoration.words import listed, quoted
 
 DEEPEST = 32
-MOST_NODES = 20_000
+MOST_NODES = 10_000  # which take a second
+MOST_LINES = 10_000
+LONGEST_LINE = 100_000  # characters
 MOST_FAULTS = 40
 INTEGER = re.compile(r"[-+]?(0|[1-9][0-9]{0,17})", re.ASCII)
 DECIMAL = re.compile(
-    r"[-+]?([0-9]{1,40}\.?[0-9]{0,40}|\.[0-9]{1,40})([eE][-+]?[0-9]{1,3})?", re.ASCII
+    r"[-+]?((0|[1-9][0-9]{0,39})(\.[0-9]{0,40})?|\.[0-9]{1,40})([eE][-+]?[0-9]{1,3})?", re.ASCII
 )
+DIRECTIVE = re.compile("^%", re.MULTILINE)
 CONSTANTS = {"": None, "~": None, "null": None, "true": True, "false": False}
 
 
@@ -87,14 +92,36 @@ def read_tree(text, file):
     """
     tree = Tree(file)
     builder = _Builder(tree)
+    _check_lines(text, file)
     try:
-        for event in YAML(typ="rt", pure=True).parse(text):
+        for event in YAML(typ="safe", pure=True).parse(text):
             builder.take(event)
     except YAMLError as error:
         raise CaseError([*tree.faults, _syntax_fault(error, file, text)]) from None
     except (ValueError, RecursionError, AttributeError, IndexError, OverflowError) as error:
-        raise CaseError([Fault(file, None, None, "", f"cannot be read as YAML: {error}")]) from None
+        reason = str(error)
+        if isinstance(error, OverflowError) or "chr()" in reason:
+            reason = "an escape such as \\U00110000 stands for no character"
+        raise CaseError(
+            [Fault(file, None, None, "", f"cannot be read as YAML: {reason}")]
+        ) from None
     return tree
+
+
+def _check_lines(text, file):
+    """Refuse what the parser would take long for: more or longer lines than a case has."""
+    if found := DIRECTIVE.search(text):
+        line = text.count("\n", 0, found.start()) + 1
+        message = "a case has no use for a directive, a line that begins with %: remove it"
+        raise CaseError([Fault(file, line, 1, "", message)])
+    lines = text.splitlines()
+    if len(lines) > MOST_LINES:
+        message = f"has {len(lines)} lines; at most {MOST_LINES} are read"
+        raise CaseError([Fault(file, MOST_LINES + 1, None, "", message)])
+    for number, line in enumerate(lines, 1):
+        if len(line) > LONGEST_LINE:
+            message = f"is a line of {len(line)} characters; at most {LONGEST_LINE} are read"
+            raise CaseError([Fault(file, number, None, "", message)])
 
 
 def override(tree, assignment):
@@ -281,7 +308,9 @@ def scalar(event):
         return CONSTANTS[text]
     if INTEGER.fullmatch(text):
         return int(text)
-    return float(text) if DECIMAL.fullmatch(text) else text
+    if DECIMAL.fullmatch(text) and math.isfinite(value := float(text)):
+        return value
+    return text
 
 
 # What the parser says, and what the user can do.
@@ -295,6 +324,9 @@ SYNTAX = {
     "expected <block end>": "the indentation does not match the lines above",
     "expected ',' or '}'": "the bracket { is not closed, or a comma is missing",
     "expected ',' or ']'": "the bracket [ is not closed, or a comma is missing",
+    "expected the node content": "nothing where a value is needed, as between two commas",
+    "expected '<document start>'": "something goes on after the end; see the indentation, and the "
+    "brackets and quotes above",
     "unexpected end of stream": "a quote is not closed",
     "undefined alias": "an alias (*) of nothing; put text that begins with * in quotes",
     "special characters are not allowed": "a control character",
@@ -307,7 +339,7 @@ def _syntax_fault(error, file, text):
     problem = str(getattr(error, "problem", None) or getattr(error, "reason", None) or error)
     problem = " ".join(problem.split())
     meaning = next((meaning for sign, meaning in SYNTAX.items() if sign in problem), problem[:120])
-    line, column = (mark.line + 1, mark.column + 1) if mark else (None, None)
+    line, column = (mark.line + 1, mark.column + 1) if mark else _found_at(error, text)
     start = getattr(error, "context_mark", None)
     since = f" (begun in line {start.line + 1})" if start and start.line + 1 != line else ""
     begun = "" if start is None else text.splitlines()[start.line : start.line + 1]
@@ -316,11 +348,20 @@ def _syntax_fault(error, file, text):
     return Fault(file, line, column, "", f"not YAML: {meaning}{since}")
 
 
-def shortened(faults):
-    """Return the first faults, and how many more there are."""
-    if len(faults) <= MOST_FAULTS:
+def _found_at(error, text):
+    """Return line and column of an error that knows a position only; two Nones without one."""
+    position = getattr(error, "position", None)
+    if not isinstance(position, int):
+        return None, None
+    before = text[:position]
+    return before.count("\n") + 1, position - before.rfind("\n")
+
+
+def shortened(faults, more=0):
+    """Return the first faults, and how many more there are, ``more`` of them not given."""
+    if len(faults) + more <= MOST_FAULTS:
         return faults
-    more = len(faults) - MOST_FAULTS
+    more += len(faults) - MOST_FAULTS
     return [*faults[:MOST_FAULTS], Fault(faults[0].file, None, None, "", f"and {more} more faults")]
 
 

@@ -1,4 +1,7 @@
-"""Units: a quantity is text such as ``8.4 Myr`` in a case file and an SI number inside."""
+"""Units: a quantity is text such as ``8.4 Myr`` in a case file and an SI number inside.
+
+A number by one pattern and a unit of one table: nothing is evaluated, so nothing takes long.
+"""
 
 import math
 import re
@@ -53,8 +56,14 @@ SPELLINGS |= {
     for year in ("/a", "/y", "/year", " yr-1", " a-1", " y-1")
 }
 SPELLINGS |= {"km/My": "km/Myr", "km Myr-1": "km/Myr"}
-SIGNS = {"·": "*", "⋅": "*", "²": "2", "³": "3", "⁻": "-", "¹": "1", "\xa0": " ", "°": "deg"}
+# Signs that texts are pasted with, and what they stand for; exponents in a unit alone: 2² is no 22.
+SIGNS = {"\N{MINUS SIGN}": "-"} | dict.fromkeys(
+    ("\N{NO-BREAK SPACE}", "\N{NARROW NO-BREAK SPACE}", "\N{THIN SPACE}", "\N{FIGURE SPACE}"), " "
+)
 SIGNS = str.maketrans(SIGNS)
+UNIT_SIGNS = {"·": "*", "⋅": "*", "²": "2", "³": "3", "⁻": "-", "¹": "1", "°": "deg"}
+UNIT_SIGNS |= {"\N{MASCULINE ORDINAL INDICATOR}": "deg", "\N{RING ABOVE}": "deg"}
+UNIT_SIGNS = str.maketrans(UNIT_SIGNS)
 NUMBER = re.compile(r"[+-]?(\d{1,40}\.?\d{0,40}|\.\d{1,40})([eE][+-]?\d{1,4})?", re.ASCII)
 LONGEST = 64  # characters of a quantity
 
@@ -90,7 +99,7 @@ def parse(text, kind):
     match = NUMBER.match(plain)
     if not match:
         raise ValueError(_no_number(text, plain, kind))
-    unit = plain[match.end() :].strip()
+    unit = plain[match.end() :].strip().translate(UNIT_SIGNS)
     if not unit:
         raise ValueError(f"{quoted(text)} has no unit; {advice(kind)}")
     value = float(Decimal(match.group()) * Decimal(_factor(text, unit, kind)))

@@ -1,9 +1,34 @@
 """Words of the messages: what was found, what is possible, and the nearest known name."""
 
+import re
 from difflib import get_close_matches
 
+# What moves the cursor of a terminal, reverses the text after it, or cannot be written at all.
+UNWRITABLE = re.compile(
+    "[\x00-\x1f\x7f-\x9f\u200e\u200f\u2028-\u202e\u2066-\u2069\ufeff\ufff9-\ufffb\ud800-\udfff]"
+)
 SHORT = 60  # characters of what was found that a message repeats
+LONGEST_NAME = 200  # characters
 MANY = 12  # names a message lists at most
+
+
+def printable(text):
+    """Return text on one line, with nothing in it that a terminal would act on."""
+    return UNWRITABLE.sub("?", str(text))
+
+
+def wrong_name(text, longest=LONGEST_NAME):
+    """Return why text cannot be the name of a thing, or None.
+
+    Names go into messages, logs, tables and files that other programs read.
+    """
+    if not text.strip():
+        return "is not a name"
+    if len(text) > longest:
+        return f"is a name of {len(text)} characters; at most {longest} are possible"
+    if odd := UNWRITABLE.search(text):
+        return f"holds the character U+{ord(odd[0]):04X}, which no name may have"
+    return None
 
 
 def quoted(value):
@@ -18,12 +43,12 @@ def quoted(value):
         return str(value).lower()
     text = str(value).replace("e+", "e") if isinstance(value, float) else str(value)
     text = text if len(text) <= SHORT else text[: SHORT - 3] + "..."
-    return "".join(sign if sign.isprintable() else "?" for sign in f"'{text}'")
+    return printable(f"'{text}'")
 
 
 def listed(names, last="or"):
     """Return names in a row: ``a, b or c``."""
-    names = [str(name)[:SHORT] for name in names]
+    names = [printable(str(name)[:SHORT]) for name in names]
     if len(names) > MANY:
         return f"{', '.join(names[:MANY])} and {len(names) - MANY} more"
     if len(names) < 2:

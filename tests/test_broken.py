@@ -1,43 +1,93 @@
 """The corpus of broken cases: every fault is told in one line, with its place and what to do.
 
 Each file ends with comments ``# expect: 7: rocks.salt.viscosity: ...``: the line and the beginning
-of a message; a comment without a number expects its text anywhere in a message.
+of a message; a comment without a number expects its text anywhere in a message. Section files that
+are broken lie in ``broken/sections``.
 """
 
+import os
 import random
 import re
+import subprocess
+import sys
 import time
 from pathlib import Path
 
 import pytest
 
+from restoration.cli import main
 from restoration.errors import CaseError
 from restoration.resolve import load
+from restoration.words import UNWRITABLE
 
 FOLDER = Path(__file__).parent / "broken"
 BROKEN = sorted(FOLDER.glob("*.yaml"))
 EXPECTED = re.compile(r"# expect: (?:(\d+): )?(.*)")
 
 
+SECONDS = 2  # of computing, at most, of a refusal in this process
+PEAK_MB = 300  # of a process of its own
+
+
 def test_the_corpus_is_large():
-    assert len(BROKEN) >= 60
+    assert len(BROKEN) >= 250
+
+
+def test_all_files_of_the_corpus_are_named_by_a_case():
+    named = "\n".join(path.read_text(encoding="utf-8", errors="replace") for path in BROKEN)
+    assert [path.name for path in (FOLDER / "sections").iterdir() if path.name not in named] == []
 
 
 @pytest.mark.parametrize("path", BROKEN, ids=lambda path: path.stem)
-def test_every_fault_is_told(path):
+def test_every_fault_is_told(path, capsys, monkeypatch):
+    """By the command, in this process: exit code 2, a line for each fault, nothing else."""
+    monkeypatch.chdir(path.parent)
     expected = EXPECTED.findall(path.read_text(encoding="utf-8", errors="replace"))
     assert expected
-    begin = time.perf_counter()
-    with pytest.raises(CaseError) as caught:
-        load(path)
-    assert time.perf_counter() - begin < 3
-    told = str(caught.value).splitlines()
-    assert len(told) == len(caught.value.faults)
+    begin = time.process_time()
+    assert main(["check", path.name]) == 2
+    assert time.process_time() - begin < SECONDS
+    said = capsys.readouterr()
+    told = [line for line in said.err.splitlines() if not line.startswith("warning: ")]
+    assert said.out == ""
+    assert not UNWRITABLE.search("".join(told))
     for line, text in expected:
         place = rf"[^:]*:{line}(:\d+)?: " if line else ".*"
         assert any(re.match(place + re.escape(text), row) for row in told), (line, text, told)
     # nothing is told beyond what is wrong: at most two rows for one expectation
     assert len(told) <= 2 * len(expected), told
+
+
+SOME = [*BROKEN[::45], *(FOLDER / f"file-{name}.yaml" for name in ("overlap", "series-compressed"))]
+
+
+@pytest.mark.parametrize("path", SOME, ids=lambda path: path.stem)
+def test_a_refusal_takes_little(path, tmp_path):
+    """Of a process of its own: seconds of computing and the most memory it held."""
+    (tmp_path / "limited.py").write_text(LIMITED)
+    done = subprocess.run(
+        [sys.executable, str(tmp_path / "limited.py"), "check", str(path)],
+        env=os.environ | {"PYTHONPATH": str(FOLDER.parents[1])},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    seconds, peak_mb = map(float, done.stdout.split())
+    assert done.returncode == 2
+    assert "Traceback" not in done.stderr
+    assert seconds < SECONDS
+    assert peak_mb < PEAK_MB
+
+
+LIMITED = """
+import resource, sys
+from restoration.cli import main
+
+code = main(sys.argv[1:])
+used = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
+print(sum(u.ru_utime + u.ru_stime for u in used), max(u.ru_maxrss for u in used) / 1024)
+sys.exit(code)
+"""
 
 
 def test_no_mutation_of_a_case_escapes(tmp_path):

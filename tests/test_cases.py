@@ -8,9 +8,10 @@ import pytest
 
 from restoration.cli import main
 from restoration.resolve import load
+from tests.vtk_reads import read_by_vtk
 
 ROOT = Path(__file__).parents[1]
-CASES = sorted(ROOT.glob("cases/*/*.yaml"))
+CASES = [p for p in sorted(ROOT.glob("cases/*/*.yaml")) if ".sweep" not in p.name]
 COARSE = ("mesh.cells=10", "particles.per_cell=4", "particles.densify=4", "time.min_steps=3")
 
 
@@ -38,6 +39,13 @@ def test_case_runs_coarse(path, tmp_path):
         assert abs(record["area_change"]) < 1e-6
     assert record["worst_residual"] < 1e-8
     assert record["particles_born"] < 0.01 * record["particles"]
+    series = read_by_vtk(tmp_path / "run")
+    assert {"fields.xdmf", "particles.xdmf"} <= set(series)
+    frames = len(scene.time.marks)
+    if scene.time.stop:  # which may come before the last mark
+        frames = len(list((tmp_path / "run" / "horizons").glob("*.geojson")))
+    assert [found["frames"] for found in series.values()] == [frames] * len(series)
+    assert series["fields.xdmf"]["arrays"] == frames * (1 + len(scene.output.fields))
 
 
 @pytest.mark.parametrize("path", CASES, ids=names)

@@ -53,14 +53,13 @@ def test_bad_input_exits_2_and_leaves_nothing(tmp_path, command, path):
     assert done.stdout == ""
     lines = done.stderr.strip().splitlines()
     assert lines
-    assert all(line.startswith((str(path), "warning: ")) or ".geojson" in line for line in lines)
+    assert all(line.startswith((str(path), "warning: ", "sections/")) for line in lines)
     assert "Traceback" not in done.stderr
     assert list(tmp_path.iterdir()) == []
 
 
 def test_all_of_the_corpus_through_the_command(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    assert len(BROKEN) >= 60
     for path in BROKEN:
         assert main(["run", str(path)]) == 2, path.stem
         said = capsys.readouterr()

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+from restoration import cloud, files, geojson, kinds, saved, series_reader, tree, units, words
 from restoration.resolve import load
 
 ROOT = Path(__file__).parents[1]
@@ -29,3 +30,26 @@ def test_links_lead_somewhere(page):
     links = re.findall(r"\]\(([^)#]+)", page.read_text(encoding="utf-8"))
     for link in links:
         assert "://" in link or (page.parent / link).exists(), link
+
+
+def test_the_limits_of_the_page_are_those_of_the_program():
+    page = (ROOT / "docs/input.md").read_text(encoding="utf-8")
+    limits = dict(re.findall(r"^\| (a [^|]+?) \| ([^|]+?) \|$", page, re.M))
+    assert limits["a case file"].startswith(
+        f"{files.MB / 1e6:g} MB, {tree.MOST_LINES} lines of {tree.LONGEST_LINE} characters, "
+        f"{tree.MOST_NODES} entries, {tree.DEEPEST} levels"
+    )
+    longest = f"{words.LONGEST_NAME}; {kinds.LONGEST_PATH} characters"
+    assert limits["a name; the path of a file"] == longest
+    assert limits["a GeoJSON section"] == (
+        f"{geojson.LARGEST / 1e6:g} MB, {geojson.MOST_FEATURES} features, "
+        f"{geojson.MOST_VERTICES} vertices"
+    )
+    assert limits["a table of particles"] == (
+        f"{cloud.LARGEST / 1e6:g} MB, {cloud.LONGEST_LINE} characters a line, "
+        f"{cloud.MOST_UNITS} units"
+    )
+    assert limits["a particle series (HDF5)"] == (
+        f"{saved.LARGEST / 1e6:g} MB a file, {series_reader.MOST_DATA} values a particle"
+    )
+    assert limits["a number with a unit"] == f"{units.LONGEST} characters"

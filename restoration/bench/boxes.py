@@ -61,7 +61,7 @@ class Solved:
         degree: of the quadrature; None for that of the elements.
 
     Attributes:
-        spaces, problem, flow, seconds: what was made, and the wall seconds of all of it.
+        spaces, rho, eta, problem, flow, seconds: what was made, and the wall seconds of all of it.
     """
 
     def __init__(
@@ -77,12 +77,13 @@ class Solved:
     ):
         clock = Clock()
         self.spaces = Spaces(section, element, degree)
+        self.rho, self.eta = density(self.spaces), viscosity(self.spaces)
         walls = walls or free_slip_walls(section.dim)
         self.problem = StokesProblem(
             section,
             self.spaces,
-            density(self.spaces),
-            viscosity(self.spaces),
+            self.rho,
+            self.eta,
             eta0,
             walls,
             1.0,

@@ -1,4 +1,4 @@
-"""The command `restore trade`: finds what is meant, sweeps, tells and keeps."""
+"""The command `restore trade`: finds what is meant, searches, tells and keeps."""
 
 import json
 import shlex
@@ -10,7 +10,7 @@ from restoration.resolve import load
 from restoration.trade.picture import draw_trade
 from restoration.trade.questions import QUESTIONS
 from restoration.trade.report import json_text, line, plain, words
-from restoration.trade.sweep import BenchmarkSubject, CaseSubject, Worker, sweep
+from restoration.trade.search import BenchmarkSubject, CaseSubject, Worker, search
 from restoration.trade.trials import done
 from restoration.words import hint
 from restoration.writing import disk_faults, write_text
@@ -60,9 +60,9 @@ def _settings(question, sets):
 
 
 def trade(name, sets=(), outside=False, quick=False, out=None, as_json=False):
-    """Sweep, print what was found, keep it in a folder if there is one; return the exit code.
+    """Search, print what was found, keep it in a folder if there is one; return the exit code.
 
-    A Ctrl-C ends the sweep, and what was measured so far is printed and kept.
+    A Ctrl-C ends the search, and what was measured so far is printed and kept.
 
     Args:
         name, sets, outside: see `subject_of`.
@@ -87,7 +87,7 @@ def trade(name, sets=(), outside=False, quick=False, out=None, as_json=False):
     trials, ended = [], None
     with Worker() as worker:
         try:
-            for trial in sweep(subject, worker, quick, tell):
+            for trial in search(subject, worker, quick, tell):
                 trials.append(trial)
                 tell(line(trial, subject))
         except (KeyboardInterrupt, RestorationError) as error:

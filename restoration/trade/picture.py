@@ -1,4 +1,4 @@
-"""The picture of a sweep: error against cost, the front a line, every point with its settings."""
+"""The picture of a search: error against cost, the front a line, every point with its settings."""
 
 import numpy as np
 
@@ -22,7 +22,7 @@ def draw_trade(path, trials, subject):
     Args:
         path: path of the picture.
         trials: list of `trials.Trial`.
-        subject: `sweep.Subject`.
+        subject: `search.Subject`.
 
     Raises:
         OutputError: the picture could not be written.

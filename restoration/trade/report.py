@@ -1,4 +1,4 @@
-"""What a sweep has to say: a table, words, JSON."""
+"""What a search has to say: a table, words, JSON."""
 
 import json
 import platform
@@ -41,7 +41,7 @@ def table_of(trials, unit, columns):
 
     Args:
         trials: list of `trials.Trial`.
-        unit, columns: of the errors, see `sweep.Subject`.
+        unit, columns: of the errors, see `search.Subject`.
     """
     trials = compared(trials)
     ahead = front(trials)
@@ -112,7 +112,7 @@ def given_of(trials):
 
 
 def words(trials, subject):
-    """Return all that a sweep has to say, as text."""
+    """Return all that a search has to say, as text."""
     given, parts = given_of(trials), [table_text(table_of(trials, subject.unit, subject.columns))]
     if not done(compared(trials)):
         return "nothing was measured"
@@ -125,11 +125,11 @@ def words(trials, subject):
 
 
 def plain(trials, subject, command):
-    """Return what a sweep has found as plain values for JSON.
+    """Return what a search has found as plain values for JSON.
 
     Args:
         trials: list of `trials.Trial`.
-        subject: `sweep.Subject`.
+        subject: `search.Subject`.
         command: the command that measured it.
     """
     ahead = front(compared(trials))

@@ -4,7 +4,6 @@ Requests and answers are lines of JSON. Every kind of work is done once in the s
 measured, so that what is compiled or loaded once in a process is in no figure.
 """
 
-import ctypes
 import gc
 import json
 import os
@@ -14,7 +13,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from restoration.engine import StokesEngine
-from restoration.environment import use_jit_cache
+from restoration.environment import give_memory_back, use_jit_cache
 from restoration.errors import RestorationError
 from restoration.resolve import load
 from restoration.run import march
@@ -42,7 +41,7 @@ class Meter:
 
     def __enter__(self):
         gc.collect()
-        ctypes.CDLL(None).malloc_trim(0)
+        give_memory_back()
         with open("/proc/self/clear_refs", "w") as peak:
             peak.write("5")  # the greatest memory counts from now on
         self.before = memory_mb("VmRSS")

@@ -365,3 +365,20 @@ def test_options_that_petsc_cannot_read_are_told():
     one = cell_viscosity(lambda x: np.ones(len(x)))
     with pytest.raises(SolveError, match=r"ksp_type: mumps.*see solver\.options"):
         Solved(section, "P2-P1", one, solcx_density, solver=plan)
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+@pytest.mark.parametrize("contrast", [1e-9, 1e-6, 1e-3, 1e3])
+def test_the_field_split_finds_the_velocity_or_says_that_it_does_not(dim, contrast):
+    """A residual of 1e-8 came with a velocity 75 times too large: the load is hydrostatic."""
+    n = {2: 16, 3: 4}[dim]
+    expected = sinking_block(dim, n, contrast, "direct", rough=True).flow.u
+    try:
+        found = sinking_block(dim, n, contrast, "fieldsplit", rough=True).flow.u
+    except SolveError as error:
+        assert contrast < 1e-3
+        assert "too rough" in str(error)
+    else:
+        assert np.linalg.norm(found - expected) < 1e-4 * np.linalg.norm(expected)
+    fallen_back = sinking_block(dim, n, contrast, "auto", rough=True).flow.u
+    assert np.linalg.norm(fallen_back - expected) < 1e-4 * np.linalg.norm(expected)

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import shapely
 
+from meshes import section as section_module
 from meshes.section import MeshingError, fitted_mesh
 
 X = np.linspace(0, 4000, 201)
@@ -225,3 +226,37 @@ def test_degenerate_lines_do_no_harm():
     section, points = fitted_mesh(*FLAT, [spot, dash, spot[:1], spot[:0]], 200)
     assert len(points) == 1
     assert section.areas.sum() == pytest.approx(4e6)
+
+
+def test_an_error_inside_gmsh_ends_no_process():
+    """Of these lines gmsh finds a point outside of the field of sizes, and throws in its loop."""
+    block = np.array([[0.4, 0.7], [0.6, 0.7], [0.6, 0.9], [0.4, 0.9], [0.4, 0.7]])
+    flat = [np.array([[0.0, z], [1.0, z]]) for z in (1.0, 0.0)]
+    section, points = fitted_mesh(*flat, [block], 1 / 30, 0.125 / 30)
+    inside = np.argmin(np.abs(points - [0.5, 0.8]).max(axis=1))
+    assert region_areas(section) == pytest.approx(np.where(np.arange(2) == inside, 0.04, 0.96))
+    assert least_angle(section) > 15
+
+
+def test_a_mesh_with_a_hole_or_an_overlap_is_refused(monkeypatch):
+    whole = section_module._meshed
+
+    def meshed(drop):
+        def faulty(*given):
+            x, cells = whole(*given)
+            return x, drop(cells)
+
+        return faulty
+
+    inner = [  # the cell nearest to the middle: taken out, and there twice
+        lambda cells: np.delete(cells, len(cells) // 2, axis=0),
+        lambda cells: np.vstack([cells, cells[len(cells) // 2]]),
+        lambda cells: np.vstack([cells[:1, ::-1], cells[1:]]),
+    ]
+    for drop in inner:
+        monkeypatch.setattr(section_module, "_meshed", meshed(drop))
+        with pytest.raises(MeshingError, match="cells overlap or leave a gap near"):
+            fitted_mesh(*FLAT, [], 200)
+    monkeypatch.setattr(section_module, "_meshed", meshed(lambda cells: cells[:0]))
+    with pytest.raises(MeshingError, match="gmsh made no cells"):
+        fitted_mesh(*FLAT, [], 200)

@@ -67,10 +67,13 @@ class PlainEngine:
     def taken_over(self, state):
         return state
 
-    def memory(self, state):
+    def memory(self, state, gather=True):
         return state
 
     def recalled(self, memory):
+        return memory
+
+    def gathered(self, memory):
         return memory
 
     def watch(self, state):

@@ -68,14 +68,15 @@ def test_the_same_numpy_in_the_venv_will_do(system, libraries, tmp_path):
     assert environment.check_environment([str(venv), str(system)], system, libraries) == []
 
 
-def test_numpy_2_stops_this_very_python_in_a_line(tmp_path):
+@pytest.mark.parametrize("command", [["environment"], ["cli", "check", "case.yaml"]])
+def test_numpy_2_stops_this_very_python_in_a_line(tmp_path, command):
     """The whole guard, on this machine, with a numpy that would crash dolfinx put before."""
     fake = tmp_path / "numpy"
     fake.mkdir()
     (fake / "__init__.py").write_text("raise SystemExit('numpy was loaded')")
     (tmp_path / "numpy-2.3.1.dist-info").mkdir()
     done = subprocess.run(
-        [sys.executable, "-m", "restoration.environment"],
+        [sys.executable, "-m", f"restoration.{command[0]}", *command[1:]],
         env={**os.environ, "PYTHONPATH": str(tmp_path)},
         capture_output=True,
         text=True,

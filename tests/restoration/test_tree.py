@@ -53,6 +53,29 @@ def test_plain_values():
     ]  # fmt: skip
 
 
+def test_what_only_looks_like_a_number_stays_text():
+    """So that no entry takes it for one: octal, sexagesimal, infinite or of more digits."""
+    odd = [
+        "010",
+        "0o10",
+        "1:30",
+        "1e999",
+        "-1e999",
+        ".inf",
+        "1e",
+        "0x1p3",
+        "9" * 41,
+        "1.0.0",
+        "\N{ARABIC-INDIC DIGIT ONE}",
+    ]
+    assert read_tree(f"[{', '.join(odd)}]", "t").data == odd
+    assert read_tree("[1" + "0" * 17 + ", 1" + "0" * 18 + "]", "t").data == [10**17, 1e18]
+
+
+def test_a_folded_text_is_one_line():
+    assert read_tree("a: >\n  two\n  lines\n", "t").data == {"a": "two lines\n"}
+
+
 @pytest.mark.parametrize(
     ("text", "message"),
     [
@@ -62,10 +85,16 @@ def test_plain_values():
         ("a: {c: #ff0000}\nb: 1", "so a colour needs quotes"),
         ('a: "x', "a quote is not closed"),
         ("a: 1\n---\nb: 2", "case.yaml:2:1: a second document begins"),
-        ("[" * 1_000_000, f"is nested more than {DEEPEST} levels deep"),
-        ("a: " + "{a: " * 200_000, f"is nested more than {DEEPEST} levels deep"),
-        ("- 1\n" * 250_000, "holds more than 20000 entries"),
-        ("a" * 1_000_000 + ": 1", "not YAML"),
+        ("[" * 100_000, f"is nested more than {DEEPEST} levels deep"),
+        ("a: " + "{a: " * 20_000, f"is nested more than {DEEPEST} levels deep"),
+        ("- " * 50_000, f"is nested more than {DEEPEST} levels deep"),
+        ("[" + f"{'1,' * 100}\n" * 5000, "holds more than 10000 entries"),
+        ("- 1\n" * 250_000, "case.yaml:10001: has 250000 lines; at most 10000 are read"),
+        ("#\n" * 500_000, "case.yaml:10001: has 500000 lines; at most 10000 are read"),
+        ("a" * 1_000_000 + ": 1", "case.yaml:1: is a line of 1000003 characters; at most 100000"),
+        ("a: 1\n%A\n", "case.yaml:2:1: a case has no use for a directive"),
+        ('a: "\\UFFFFFFFF"', "an escape such as \\U00110000 stands for no character"),
+        ("a" * 90_000 + ": 1", "not YAML"),
         ("a: \x07", "a control character"),
     ],
 )

@@ -13,7 +13,7 @@ import pytest
 from restoration.cli import main
 from restoration.trade.command import subject_of
 from restoration.trade.picture import draw_trade
-from restoration.trade.sweep import Subject
+from restoration.trade.search import Subject
 from restoration.trade.trials import Trial
 
 ROOT = Path(__file__).parents[2]
@@ -53,7 +53,7 @@ def test_a_case_goes_by_its_folder_or_its_name(name):
 @pytest.mark.parametrize(
     ("what", "sets"), [(str(DEMO), TINY), ("solcx", ("mesh.cells=8",))], ids=["case", "bench"]
 )
-def test_a_sweep_end_to_end(what, sets, tmp_path, capsys):
+def test_a_search_end_to_end(what, sets, tmp_path, capsys):
     arguments = ["trade", what, *flags(sets), "--quick", "--out", str(tmp_path), "--json"]
     assert main(arguments) == 0
     found = json.loads(capsys.readouterr().out)

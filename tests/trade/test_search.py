@@ -1,4 +1,4 @@
-"""The sweep by a worker that invents its answers, and the choices of scenes."""
+"""The search by a worker that invents its answers, and the choices of scenes."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -10,7 +10,7 @@ from restoration.resolve import load
 from restoration.trade.choices import choices_of, presets_of, references_of, together
 from restoration.trade.questions import QUESTIONS
 from restoration.trade.report import table_of, table_text, words
-from restoration.trade.sweep import BenchmarkSubject, CaseSubject, Worker, sweep
+from restoration.trade.search import BenchmarkSubject, CaseSubject, Worker, search
 
 CASES = Path(__file__).parents[2] / "cases"
 DEMO = CASES / "diapir-isoviscous" / "case.yaml"
@@ -41,13 +41,13 @@ class Solcx(BenchmarkSubject):
         return {"entries": self.question.base | entries}
 
 
-def swept(**settings):
+def searched(**settings):
     subject, worker = Solcx("solcx", QUESTIONS["solcx"]), Inventor()
-    return subject, worker, list(sweep(subject, worker, **settings))
+    return subject, worker, list(search(subject, worker, **settings))
 
 
-def test_a_sweep_goes_from_what_was_given_to_what_goes_well_together():
-    subject, worker, trials = swept()
+def test_a_search_goes_from_what_was_given_to_what_goes_well_together():
+    subject, worker, trials = searched()
     labels = [trial.label for trial in trials]
     assert labels[0] == "as given"
     assert "fitted" in labels
@@ -59,12 +59,12 @@ def test_a_sweep_goes_from_what_was_given_to_what_goes_well_together():
     assert "arithmetic mean" in text
     assert "did not converge" in text
     assert "for 0.02 % take fitted, 64 cells" in text
-    quick = swept(quick=True)[2]
+    quick = searched(quick=True)[2]
     assert len(quick) < len(trials)
 
 
 def test_a_table_has_a_mark_where_nothing_beats():
-    subject, _, trials = swept()
+    subject, _, trials = searched()
     rows = table_of(trials, subject.unit, subject.columns)
     assert {len(row) for row in rows} == {9}
     best = [row[1] for row in rows if row[0]]
@@ -79,7 +79,7 @@ def test_what_was_given_must_succeed():
     subject.question.base["mesh.element"]
     worker.ask = lambda request: {"failed": "folded"}
     with pytest.raises(SolveError, match="folded"):
-        list(sweep(subject, worker))
+        list(search(subject, worker))
 
 
 def names(scene, quick=False):

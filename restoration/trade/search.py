@@ -1,4 +1,4 @@
-"""The sweep: what was given, one change at a time, then what promises to go well together."""
+"""The search: what was given, one change at a time, then what promises to go well together."""
 
 import json
 import os
@@ -11,8 +11,8 @@ from pathlib import Path
 
 import numpy as np
 
-import restoration
 from restoration.errors import CaseError, SolveError
+from restoration.launch import child_environment
 from restoration.measured import kind_of
 from restoration.plan import time_label
 from restoration.trade.choices import (
@@ -98,9 +98,6 @@ def _cpu_s(process):
 
 def _begun():
     """Return a worker that is one thread and hears no Ctrl-C: the parent answers that."""
-    root = str(Path(restoration.__file__).parents[1])
-    paths = [root, *filter(None, [os.environ.get("PYTHONPATH")])]
-    one = {"OMP_NUM_THREADS": "1", "NUMBA_NUM_THREADS": "1"}
     return subprocess.Popen(
         [sys.executable, "-m", "restoration.trade.worker"],
         stdin=subprocess.PIPE,
@@ -108,13 +105,13 @@ def _begun():
         stderr=subprocess.DEVNULL,
         text=True,
         start_new_session=True,
-        env=os.environ | {"PYTHONPATH": os.pathsep.join(paths)} | one,
+        env=child_environment(one_thread=True),
     )
 
 
 @dataclass
 class Subject:
-    """What is swept: a case or a benchmark.
+    """What is searched: a case or a benchmark.
 
     Attributes:
         name, title: of it.
@@ -272,7 +269,7 @@ def _trial(choice, answer):
     return Trial(choice.name, axes, choice.entries, **known)
 
 
-def sweep(subject, worker, quick=False, tell=None):
+def search(subject, worker, quick=False, tell=None):
     """Yield trials one by one as they are measured.
 
     Args:
