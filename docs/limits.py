@@ -60,7 +60,10 @@ def one_by_one(rows):
     """Return the table of the rows, one after another."""
     table = [("what", "number", "against", "verdict")]
     for row in rows:
-        number = "" if "refused" in row["parameters"] else f"{row['metric']}: {row['value']:.1e}"
+        number = f"{row['metric']}: {row['value']:.1e}"
+        if row["reference"] and row["relative_error"] is not None:
+            number += f", off by {row['relative_error']:.0e}"
+        number = "" if "refused" in row["parameters"] else number
         table.append((row["case"], number, row["source"], verdict(row).replace("|", "/")))
     return table_markdown(table)
 
