@@ -62,7 +62,7 @@ class Keeper:
         self._walltime, self._wanted = walltime, wanted
         self._began = self._last = self._written = time.monotonic()
         self._longest = self._cost = 0.0
-        self._step, self._passed = None, None
+        self._passed, self._reached = None, 0
 
     def __call__(self, passed, state):
         """Write a checkpoint if one is due; a task of `run.march` at rest.
@@ -70,13 +70,23 @@ class Keeper:
         Raises:
             StoppedError: the run is to stop; its checkpoint is written.
         """
-        now, ranks = time.monotonic(), self._recorder.ranks
+        now, ranks, self._reached = time.monotonic(), self._recorder.ranks, passed
         self._longest, self._last = max(self._longest, now - self._last), now
         stop = ranks.any(self._wanted() or self._late(now))
         if self._checkpoints and (stop or self._due(passed, now)):
             self._write(passed, state)
         if stop:
             raise StoppedError("stopped on request")
+
+    def failed(self, error):
+        """Write a checkpoint of the state before a step that has failed for good.
+
+        Args:
+            error: what ends the run; only one of a step has the memory of that state.
+        """
+        last, memory = self._recorder.last, getattr(error, "memory", None)
+        if self._checkpoints and memory and last and memory["time"] == last.time:
+            self._write(self._reached, last, memory)
 
     def check(self):
         """Raise StoppedError where the run is to stop, and no checkpoint is to be written."""
@@ -94,9 +104,9 @@ class Keeper:
         due = passed != self._passed or now - self._written >= SHARE * self._cost
         return self._recorder.ranks.same(due)
 
-    def _write(self, passed, state):
+    def _write(self, passed, state, engine=None):
         recorder, begin = self._recorder, time.monotonic()
-        memory = recorder.memory(state) | {"passed": passed, "about": about(recorder.job)}
+        memory = recorder.memory(state, engine) | {"passed": passed, "about": about(recorder.job)}
         recorder.ranks.alone(self._checkpoints.write, recorder.steps, memory)
         self._passed, self._written = passed, time.monotonic()
         self._cost = self._written - begin

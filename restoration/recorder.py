@@ -172,17 +172,26 @@ class Recorder:
         self.say(f"going on {self.reached()}")
         return self._last
 
-    def memory(self, state):
+    @property
+    def last(self):
+        """The `State` after the last step, None before the first mark."""
+        return self._last
+
+    def memory(self, state, engine=None):
         """Return all that the run depends on from here on; collective.
+
+        Args:
+            state: `State` of now.
+            engine: what the engine has remembered of it; None to ask it now.
 
         Returns:
             A dict for a checkpoint, whose entry ``rock`` holds states by name: those that are kept
             for the end of the run, the same ones from now on.
         """
-        engine = self.engine
+        engine, remembered = self.engine, engine
         memory = {
             "time": state.time,
-            "engine": engine.memory(state),
+            "engine": remembered or engine.memory(state),
             "marks": [self._name_of(kept) for kept in self._marks],
             "follower": self._follower and self._follower.memory(self._name_of),
             "stopping": self.stopping.memory(engine.memory_of_rock),

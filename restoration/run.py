@@ -180,6 +180,7 @@ def _hardly_begun(folder):
     }
 
 
+FAILURE_FILES = "failure/facts.json", "failure/step-*.h5", "failure/latest.json"
 # What a run leaves in its folder, beside the case: by that a folder is known.
 RUN_FILES = (
     "run.json",
@@ -197,9 +198,7 @@ RUN_FILES = (
     "figures/certificate.png",
     "certificate.md",
     "figures/flatness.png",
-    "failure/facts.json",
-    "failure/step-*.h5",
-    "failure/latest.json",
+    *FAILURE_FILES,
     "horizons/[0-9]*-*.geojson",
     "checkpoints/step-*.h5",
     "checkpoints/kept-*.h5",
@@ -223,9 +222,9 @@ def _proved(folder):
     return bool(json.loads((folder / "run.json").read_text()).get("proof"))
 
 
-def clear(folder):
-    """Remove what a run leaves, and nothing else."""
-    for pattern in RUN_FILES:
+def clear(folder, patterns=RUN_FILES):
+    """Remove what a run leaves, or such files of it, and nothing else."""
+    for pattern in patterns:
         for path in folder.glob(pattern):
             path.unlink()
 
@@ -245,10 +244,12 @@ def locked(folder, what="run", patience=0.0):
     Raises:
         CaseError: another run is at work in it.
     """
-    name = hashlib.sha256(str(folder.absolute()).encode()).hexdigest()[:16]
+    name = hashlib.sha256(str(folder.resolve()).encode()).hexdigest()[:16]
     path = Path(tempfile.gettempdir()) / f"restore-{os.getuid()}-{name}.lock"
     limit = time.monotonic() + patience
-    with open(path, "w") as lock:
+    # where all may write, a link of this name would lead to a file of somebody else
+    descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC, 0o600)
+    with os.fdopen(descriptor, "w") as lock:
         while True:
             try:
                 fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -311,8 +312,7 @@ def _recorder(job, folder, progress, memory):
 def _went_before(job, checkpoints):
     """Return the memory that a job goes on from, or None, and notes on it."""
     memory, notes = newest(checkpoints, job)
-    if memory is None and notes:
-        clear(job.folder)
+    clear(job.folder, RUN_FILES if memory is None and notes else FAILURE_FILES)
     return memory, notes
 
 
@@ -380,7 +380,10 @@ def run_job(job, progress=None, stop=None):
             recorder.end(stopped)
             raise StoppedError(f"stopped on request {recorder.reached()}; {_later(kept)}") from None
         except BaseException as error:
-            recorder.end(error)
+            try:
+                keeper.failed(error)
+            finally:
+                recorder.end(error)
             raise
         record = recorder.end()
         ranks.alone(checkpoints.clear)

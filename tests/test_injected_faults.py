@@ -408,6 +408,20 @@ def test_a_run_that_fails_for_good_leaves_what_a_developer_needs(tmp_path, monke
     assert json.loads((folder / "run.json").read_text())["exit_code"] == MeshError.exit_code
 
 
+def test_a_run_that_failed_goes_on_from_the_step_before(tmp_path, monkeypatch):
+    with monkeypatch.context() as patch, pytest.raises(ParticleError):
+        advanced(lost, calls=range(3, 10**9)).arm(patch)
+        run_job(replace(job(tmp_path), checkpoint=10**6))
+    record, folder = run_job(job(tmp_path))
+    assert record["resumed_after_steps"] == [2]
+    assert not list(folder.glob("failure/*"))
+    whole, other = run_job(replace(job(tmp_path), out=tmp_path / "whole"))
+    assert record["steps"] == whole["steps"]
+    names = [path.name for path in sorted((other / "horizons").iterdir())]
+    for name in names:
+        assert (folder / "horizons" / name).read_bytes() == (other / "horizons" / name).read_bytes()
+
+
 def test_a_step_taken_anew_is_noted(tmp_path, monkeypatch):
     advanced(positions, calls={1, 2}).arm(monkeypatch)
     record, folder = run_job(job(tmp_path))
