@@ -7,9 +7,50 @@ from restoration.box_engine import BoxEngine
 from restoration.checkpoint import packed, unpacked
 from restoration.engine import StokesEngine
 from restoration.run import march
+from restoration.scene import Air, MeshPlan, SurfacePlan, TimePlan, Transfer
 from tests.mpi_runs import SCENES
+from tests.restoration.conftest import MYR, diapir_scene
+from tests.restoration.test_free_surface import FREE, GAMMA, free_scene, hill
 
-EVERY = 2  # steps, after which one is rebuilt
+
+def diapir(**plans):
+    """Return the diapir of two viscosities, back and forth in a few steps."""
+    time = TimePlan((0.0, -0.2 * MYR, 0.0), "rk4", 1.0, 3)
+    return diapir_scene(**{"cells": (8, 9), "viscosity": (1e18, 1e20), "time": time} | plans)
+
+
+def below_a_hill(plan, **plans):
+    """Return the diapir below a free surface, back and forth."""
+    walls = diapir_scene().walls | {"surface": FREE}
+    time = TimePlan((0.0, -8 / GAMMA, 0.0), "midpoint", 1.0, 6)
+    plans = {"walls": walls, "outline": hill(50.0), "time": time} | plans
+    return diapir(surface=plan, **plans)
+
+
+MORE = {
+    "slaved modes": lambda: below_a_hill(SurfacePlan(reverse="slave")),
+    "slaved modes, one viscosity": lambda: below_a_hill(
+        SurfacePlan(reverse="slave"),
+        viscosity=(1e19, 1e19),
+        time=TimePlan((0.0, -1 / GAMMA), "midpoint", 1.0, 6),
+    ),
+    "stabilised": lambda: below_a_hill(SurfacePlan(theta=0.5, motion="normal")),
+    "one rock, forward and back": lambda: free_scene(steps=4, end=0.5),
+    "air": lambda: below_a_hill(
+        SurfacePlan(air=Air(2000.0, 1.0, 1e17)),
+        time=TimePlan((0.0, 0.4 / GAMMA), "midpoint", 1.0, 4),
+    ),
+    "fitted below a free surface": lambda: below_a_hill(
+        SurfacePlan(), mesh=MeshPlan(interfaces="fitted")
+    ),
+    "left to particles": lambda: diapir(
+        mesh=MeshPlan(interfaces="auto"), time=TimePlan((0.0, 3 * MYR), "midpoint", 2.0, 4)
+    ),
+    "squares": lambda: diapir(mesh=MeshPlan(element="Q2-P1dg")),
+    "split triangles": lambda: diapir(mesh=MeshPlan(element="P2-P1dg", interfaces="fitted")),
+    "moments": lambda: diapir(transfer=Transfer("projection", "linear", "geometric")),
+    "lines": lambda: diapir(transfer=Transfer("lines", "lines", "harmonic")),
+}
 
 
 def engine_of(scene):
@@ -25,9 +66,9 @@ def arrays_of(memory):
     return [memory.tobytes() if isinstance(memory, np.ndarray) else repr(memory)]
 
 
-@pytest.mark.parametrize("name", SCENES)
+@pytest.mark.parametrize("name", SCENES | MORE)
 def test_a_rebuilt_engine_goes_on_bit_for_bit(name):
-    scene = SCENES[name]()
+    scene = (SCENES | MORE)[name]()
     rests, engine = [], engine_of(scene)
 
     def rest(passed, state):
@@ -35,7 +76,7 @@ def test_a_rebuilt_engine_goes_on_bit_for_bit(name):
 
     march(engine.start(), engine, scene.time, at_rest=(rest,))
     last = arrays_of(unpacked(rests[-1][1], "last"))
-    for passed, content in [rests[len(rests) * share // 4] for share in (0, 1, 2, 3)]:
+    for passed, content in [rests[len(rests) * share // 4] for share in (0, 1, 3)]:
         memory = unpacked(content, "memory")
         other = engine_of(scene)
         state = other.recalled(memory)
