@@ -245,7 +245,7 @@ def locked(folder, what="run", patience=0.0):
     Raises:
         CaseError: another run is at work in it.
     """
-    name = hashlib.sha256(str(folder.absolute()).encode()).hexdigest()[:16]
+    name = hashlib.sha256(os.fsencode(os.path.realpath(folder))).hexdigest()[:16]
     path = Path(tempfile.gettempdir()) / f"restore-{os.getuid()}-{name}.lock"
     limit = time.monotonic() + patience
     with open(path, "w") as lock:

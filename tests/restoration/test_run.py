@@ -253,6 +253,15 @@ def test_two_runs_do_not_share_a_folder(tmp_path):
         run_job(job(tmp_path))
 
 
+@pytest.mark.parametrize("other", ["link", "run/../run", "link/."])
+def test_a_folder_in_use_is_known_by_other_names(tmp_path, other):
+    (tmp_path / "run").mkdir()
+    (tmp_path / "link").symlink_to("run")
+    refused = pytest.raises(CaseError, match="another run is at work")
+    with locked(tmp_path / "run"), refused, locked(tmp_path / other):
+        pass
+
+
 def test_folder_name_follows_the_case():
     made = Job(Path("a/salt/case.yaml"), "", "", None)
     assert made.folder.name == f"salt-{made.sha256[:8]}"
