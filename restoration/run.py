@@ -180,8 +180,12 @@ def _hardly_begun(folder):
     }
 
 
-# What a run leaves in its folder, beside the case: by that a folder is known.
+# What a run leaves in its folder, beside the case. Checkpoints first: what is killed while it removes
+# these files must not be gone on with.
 RUN_FILES = (
+    "checkpoints/step-*.h5",
+    "checkpoints/kept-*.h5",
+    "checkpoints/latest.json",
     "run.json",
     "diagnostics.csv",
     "log.txt",
@@ -201,9 +205,6 @@ RUN_FILES = (
     "failure/step-*.h5",
     "failure/latest.json",
     "horizons/[0-9]*-*.geojson",
-    "checkpoints/step-*.h5",
-    "checkpoints/kept-*.h5",
-    "checkpoints/latest.json",
 )
 
 
