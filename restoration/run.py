@@ -75,11 +75,12 @@ def march(state, engine, plan, every_step=(), at_marks=(), stopping=None, at_res
     for number, mark in enumerate(plan.marks[passed + 1 :], start=passed + 1):
         if stopping.over:
             break
-        longest = abs(mark - plan.marks[number - 1]) / plan.min_steps
+        way = abs(mark - plan.marks[number - 1])
+        longest = way / plan.min_steps
         while state.time != mark and not stopping.over:
             before = state
             until = next_time(state.time, mark, min(engine.stable_step(state, mark), longest))
-            state = stepped(engine, before, until)
+            state = stepped(engine, before, until, least=way / MOST_STEPS)
             state = stopping.landed(engine, before, state)
             for task in every_step:
                 task(before, state)
@@ -180,8 +181,8 @@ def _hardly_begun(folder):
     }
 
 
-# What a run leaves in its folder, beside the case. Checkpoints first: what is killed while it removes
-# these files must not be gone on with.
+# What a run leaves in its folder, beside the case. Checkpoints first: if it is killed while these
+# files are removed nothing may go on with what is left.
 RUN_FILES = (
     "checkpoints/step-*.h5",
     "checkpoints/kept-*.h5",
@@ -384,8 +385,16 @@ def run_job(job, progress=None, stop=None):
             recorder.end(error)
             raise
         record = recorder.end()
-        ranks.alone(checkpoints.clear)
+        ranks.alone(_tidy, checkpoints)
         return record, folder
+
+
+def _tidy(checkpoints):
+    """Remove what a run that has ended well does not need, nor what failed in it before."""
+    checkpoints.clear()
+    failure = checkpoints.folder.with_name("failure")
+    (failure / "facts.json").unlink(missing_ok=True)
+    Checkpoints(failure).clear()
 
 
 def _later(checkpoints):

@@ -409,6 +409,9 @@ def test_a_run_that_fails_for_good_leaves_what_a_developer_needs(tmp_path, monke
     assert state.time == pytest.approx(0.1 * MYR)
     assert sum(path.stat().st_size for path in (folder / "failure").iterdir()) < 3e6
     assert json.loads((folder / "run.json").read_text())["exit_code"] == MeshError.exit_code
+    monkeypatch.undo()
+    run_job(job(tmp_path))
+    assert not (folder / "failure").exists()
 
 
 def test_a_step_taken_anew_is_noted(tmp_path, monkeypatch):
