@@ -43,7 +43,8 @@ class BoxRecorder(Recorder):
     def _open_series(self):
         super()._open_series()
         names = [sheet.name for sheet in self.scene.sheets]
-        self.horizons = MeshSeries(self.folder / "horizons.xdmf", {"names": names}, self._until)
+        until = self._until if names else None
+        self.horizons = MeshSeries(self.folder / "horizons.xdmf", {"names": names}, until)
 
     def _shots(self, states):
         befores = [None, *(state.time for state in states)]

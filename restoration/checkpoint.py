@@ -8,6 +8,8 @@ before anything is read. It holds arrays, numbers and texts and nothing that cou
 import hashlib
 import io
 import json
+import os
+import stat
 from contextlib import suppress
 from pathlib import Path
 
@@ -22,6 +24,7 @@ HEAD = 512  # bytes of the user block of HDF5
 FORMAT = "restoration checkpoint 1"
 LARGEST = 200_000_000_000  # bytes of a file that is read
 KINDS = "fiub"  # of the arrays
+DAMAGED = "is damaged, or no checkpoint of this version"
 
 
 def packed(memory):
@@ -53,7 +56,7 @@ def unpacked(content, name):
         CheckpointError: it is not what `packed` has returned.
     """
     if len(content) < HEAD or content[:HEAD] != _head(content[HEAD:]):
-        raise CheckpointError(f"{name}: is damaged, or no checkpoint of this version")
+        raise CheckpointError(f"{name}: {DAMAGED}")
     try:
         with h5py.File(io.BytesIO(content), "r") as h5:
             about = json.loads(h5["about"][()].tobytes())
@@ -162,9 +165,18 @@ class Checkpoints:
 
 
 def _read(path):
+    """Return the memory in a checkpoint file, of which no more is read than it says it has."""
     try:
-        if path.stat().st_size > LARGEST:
-            raise CheckpointError(f"{path.name}: is too large")
-        return unpacked(path.read_bytes(), path.name)
+        descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)  # no wait for a pipe
+        with open(descriptor, "rb") as file:
+            size = os.fstat(descriptor).st_size
+            if not stat.S_ISREG(os.fstat(descriptor).st_mode):
+                raise CheckpointError(f"{path.name}: is not a regular file")
+            if size > LARGEST:
+                raise CheckpointError(f"{path.name}: is too large")
+            head = file.read(HEAD)
+            if f'"bytes": {size - HEAD},'.encode() not in head:
+                raise CheckpointError(f"{path.name}: {DAMAGED}")
+            return unpacked(head + file.read(size - HEAD), path.name)
     except OSError as error:
         raise CheckpointError(f"{path.name}: {error.strerror}") from error

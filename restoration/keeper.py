@@ -9,7 +9,7 @@ from restoration.errors import CaseError, CheckpointError, StoppedError
 
 SHARE = 20  # a checkpoint is due when so many times as long has passed as one takes to write
 MARGIN = 2.0  # longest steps so far that are left to a run within its wall time
-CLOCK = re.compile(r"(?:(\d+)-)?(\d{1,4}):(\d\d)(?::(\d\d))?$")
+CLOCK = re.compile(r"(?:(\d{1,4})-)?(\d{1,4}):([0-5]\d)(?::([0-5]\d))?$")
 SECONDS = {"s": 1, "min": 60, "h": 3600, "d": 86400}
 
 
@@ -20,6 +20,11 @@ def wall_time(text):
         CaseError: it is none.
     """
     if clock := CLOCK.match(text.strip()):
+        if clock[1] is None and clock[4] is None:  # minutes and seconds to SLURM, hours to others
+            raise CaseError(
+                f"--walltime: {text!r} may be hours or minutes; write {text.strip()}:00 or "
+                f"{clock[2]} min"
+            )
         days, hours, minutes, seconds = (int(part or 0) for part in clock.groups())
         found = 86400 * days + 3600 * hours + 60 * minutes + seconds
     else:

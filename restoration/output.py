@@ -9,7 +9,7 @@ import numpy as np
 
 from restoration.errors import OutputError
 from restoration.writing import disk_faults, replacing, write_text
-from restoration.xdmf import MeshSeries, ParticleSeries
+from restoration.xdmf import WITHOUT, MeshSeries, ParticleSeries
 
 __all__ = [
     "RECORD",
@@ -101,10 +101,13 @@ class Diagnostics:
 
     def _rows(self, keep):
         """Return the first rows of the table that is there."""
-        with disk_faults(self.path), open(self.path, newline="", encoding="utf-8") as stream:
-            header, *rows = list(csv.reader(stream)) or [[]]
+        try:
+            with open(self.path, newline="", encoding="utf-8") as stream:
+                header, *rows = list(csv.reader(stream)) or [[]]
+        except (OSError, ValueError, csv.Error) as error:
+            raise OutputError(f"{self.path}: not readable: {error}: {WITHOUT}") from error
         if header != self.columns or len(rows) < keep:
-            raise OutputError(f"{self.path}: not the table of this run: remove it")
+            raise OutputError(f"{self.path}: not the table of this run: {WITHOUT}")
         return rows[:keep]
 
 

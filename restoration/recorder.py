@@ -217,6 +217,7 @@ class Recorder:
             "surface": scene.outline.surface,
             "base": scene.outline.base,
         }
+        until = until if scene.output.particles else None
         self.cloud = ParticleSeries(self.folder / "particles.xdmf", frame, until)
         self.table = Diagnostics(self.folder / "diagnostics.csv", COLUMNS, self.steps)
 

@@ -7,7 +7,7 @@ MOST_HALVINGS = 8  # of one step
 GROWTH = 2.0  # of the step after one that was shortened and has succeeded
 
 
-def stepped(engine, state, until):
+def stepped(engine, state, until, least=0.0):
     """Return the state after a step towards a time, which may be shorter than asked for.
 
     After a failure the engine is what it was before: mesh, particles, lines, factors and counts.
@@ -18,10 +18,11 @@ def stepped(engine, state, until):
             has ``longest``, ``retried`` and ``notes``.
         state: with its flow.
         until: model time, s.
+        least: no shorter step is tried, s; positive.
 
     Raises:
-        SolveError, MeshError: a step of the 256th part has failed too. The error has the memory of
-            the state before, and the facts of the last matrix.
+        SolveError, MeshError: a step of the 256th part, or one as short as may be, has failed too.
+            The error has the memory of the state before, and the facts of the last matrix.
         TooLargeError: at once: a shorter step needs no less memory.
     """
     begin, retried, first, notes = state.time, engine.retried, until - state.time, []
@@ -34,9 +35,12 @@ def stepped(engine, state, until):
         except TooLargeError:
             raise
         except (SolveError, MeshError) as error:
-            failure, facts = error, engine.facts() if halvings == MOST_HALVINGS else None
+            over = halvings == MOST_HALVINGS or abs(dt) / 2 < least
+            failure, facts = error, engine.facts() if over else None
             notes.append(f"a step of {show(dt, 'time')} has failed: {error}; taken anew with half")
             state = engine.recalled(memory)
+            if over:
+                break
             continue
         engine.retried, engine.notes = retried + halvings, [*engine.notes, *notes]
         longest = abs(dt) if halvings else max(abs(dt), engine.longest)

@@ -75,11 +75,12 @@ def march(state, engine, plan, every_step=(), at_marks=(), stopping=None, at_res
     for number, mark in enumerate(plan.marks[passed + 1 :], start=passed + 1):
         if stopping.over:
             break
-        longest = abs(mark - plan.marks[number - 1]) / plan.min_steps
+        way = abs(mark - plan.marks[number - 1])
+        longest = way / plan.min_steps
         while state.time != mark and not stopping.over:
             before = state
             until = next_time(state.time, mark, min(engine.stable_step(state, mark), longest))
-            state = stepped(engine, before, until)
+            state = stepped(engine, before, until, least=way / MOST_STEPS)
             state = stopping.landed(engine, before, state)
             for task in every_step:
                 task(before, state)
@@ -180,9 +181,12 @@ def _hardly_begun(folder):
     }
 
 
-FAILURE_FILES = "failure/facts.json", "failure/step-*.h5", "failure/latest.json"
-# What a run leaves in its folder, beside the case: by that a folder is known.
+# What a run leaves in its folder, beside the case. Checkpoints first: if it is killed while these
+# files are removed nothing may go on with what is left.
 RUN_FILES = (
+    "checkpoints/step-*.h5",
+    "checkpoints/kept-*.h5",
+    "checkpoints/latest.json",
     "run.json",
     "diagnostics.csv",
     "log.txt",
@@ -198,11 +202,10 @@ RUN_FILES = (
     "figures/certificate.png",
     "certificate.md",
     "figures/flatness.png",
-    *FAILURE_FILES,
+    "failure/facts.json",
+    "failure/step-*.h5",
+    "failure/latest.json",
     "horizons/[0-9]*-*.geojson",
-    "checkpoints/step-*.h5",
-    "checkpoints/kept-*.h5",
-    "checkpoints/latest.json",
 )
 
 
@@ -222,9 +225,9 @@ def _proved(folder):
     return bool(json.loads((folder / "run.json").read_text()).get("proof"))
 
 
-def clear(folder, patterns=RUN_FILES):
-    """Remove what a run leaves, or such files of it, and nothing else."""
-    for pattern in patterns:
+def clear(folder):
+    """Remove what a run leaves, and nothing else."""
+    for pattern in RUN_FILES:
         for path in folder.glob(pattern):
             path.unlink()
 
@@ -244,7 +247,7 @@ def locked(folder, what="run", patience=0.0):
     Raises:
         CaseError: another run is at work in it.
     """
-    name = hashlib.sha256(str(folder.resolve()).encode()).hexdigest()[:16]
+    name = hashlib.sha256(os.fsencode(os.path.realpath(folder))).hexdigest()[:16]
     path = Path(tempfile.gettempdir()) / f"restore-{os.getuid()}-{name}.lock"
     limit = time.monotonic() + patience
     # where all may write, a link of this name would lead to a file of somebody else
@@ -312,7 +315,8 @@ def _recorder(job, folder, progress, memory):
 def _went_before(job, checkpoints):
     """Return the memory that a job goes on from, or None, and notes on it."""
     memory, notes = newest(checkpoints, job)
-    clear(job.folder, RUN_FILES if memory is None and notes else FAILURE_FILES)
+    if memory is None and notes:
+        clear(job.folder)
     return memory, notes
 
 
@@ -386,8 +390,16 @@ def run_job(job, progress=None, stop=None):
                 recorder.end(error)
             raise
         record = recorder.end()
-        ranks.alone(checkpoints.clear)
+        ranks.alone(_tidy, checkpoints)
         return record, folder
+
+
+def _tidy(checkpoints):
+    """Remove what a run that has ended well does not need, nor what failed in it before."""
+    checkpoints.clear()
+    failure = checkpoints.folder.with_name("failure")
+    (failure / "facts.json").unlink(missing_ok=True)
+    Checkpoints(failure).clear()
 
 
 def _later(checkpoints):

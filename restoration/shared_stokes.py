@@ -94,6 +94,10 @@ class FirstStokes:
         self._alone("recall", memory)
         self._tell()
 
+    def facts(self):
+        """See `StokesProblem.facts`; on all ranks."""
+        return self._ranks.same(self._alone("facts"))
+
     def release(self):
         """Give the memory of matrix and factors back."""
         self._alone("release")

@@ -25,6 +25,7 @@ from restoration.writing import check_room, disk_faults, replacing, write_text
 
 PART_SIZE = 64_000_000  # bytes after which the next .h5 is begun
 OVERHEAD = 200_000  # bytes, more than an .h5 needs for a frame besides the numbers
+WITHOUT = "the run cannot go on without it: put it back, or begin anew with --fresh"
 NUMBERS = {"f8": "Float", "i2": "Short", "i4": "Int", "i8": "Int"}
 # by their nodes
 CELLS = {3: "Triangle", 6: "Triangle_6", 9: "Quadrilateral_9", 10: "Tetrahedron_10"}
@@ -36,11 +37,11 @@ class _Series:
     Args:
         path: path of the .xdmf; the .h5 stands beside it.
         attributes: what the .h5 tells about the run, by name: text, numbers, lists and arrays.
-        until: elapsed time, s, up to which the frames of an interrupted run are kept; None begins
-            anew and removes them.
+        until: elapsed time of the last frame of an interrupted run that is kept, s; None begins
+            anew and removes all.
 
     Raises:
-        OutputError: the files could not be written.
+        OutputError: the files could not be written, or frames to go on with are missing.
     """
 
     def __init__(self, path, attributes=None, until=None):
@@ -112,14 +113,20 @@ class _Series:
 
     def _keep(self, until):
         """Take over the frames of an earlier run up to an elapsed time; remove what is later."""
+        names = []
         for number, file in enumerate(parts(self.path), 1):
-            kept = [] if until is None else [about for about in _abouts(file) if about[0] <= until]
-            self._frames += kept
+            found = {} if until is None else _abouts(file)
+            kept = {name: about for name, about in found.items() if about[0] <= until}
+            self._frames += kept.values()
+            names += kept
             if kept:
                 self._part = number
             else:
                 with disk_faults(file):
                     file.unlink(missing_ok=True)
+        whole = until is None or (self._frames and self._frames[-1][0] == until)
+        if not whole or names != [f"{number:06d}" for number in range(len(names))]:
+            raise OutputError(f"{part(self.path, 1)}: frames are missing: {WITHOUT}")
         if self._frames:
             self._describe()
         else:
@@ -182,15 +189,15 @@ class ParticleSeries(_Series):
 
 
 def _abouts(file):
-    """Return (elapsed, description) of every frame of an .h5."""
+    """Return (elapsed, description) of every frame of an .h5, by name."""
     try:
         with h5py.File(file, "r") as h5:
-            frames = [h5["frames"][name].attrs for name in sorted(h5["frames"])]
-            return [(float(about["elapsed"]), about["grid"]) for about in frames]
+            frames = {name: h5["frames"][name].attrs for name in sorted(h5["frames"])}
+            return {n: (float(about["elapsed"]), about["grid"]) for n, about in frames.items()}
     except FileNotFoundError:
-        return []
+        return {}
     except (OSError, KeyError) as error:
-        raise OutputError(f"{file}: not readable, to go on with it: {error}: remove it") from error
+        raise OutputError(f"{file}: not readable: {error}: {WITHOUT}") from error
 
 
 def _reserve(file, size):

@@ -348,8 +348,11 @@ def test_a_fault_is_made_good_or_told(name, by, monkeypatch, sound):
 
 
 @pytest.mark.slow
-def test_ranks_that_do_not_hear_of_each_other_are_told():
+def test_faults_on_two_ranks_are_told_by_both():
     found = on_ranks(ROOT / "tests" / "mpi_faults.py", 2)
+    for name in ("step True", "step False"):  # solved by the first rank, and by all
+        assert found[name][0].startswith("refused; shorter steps")
+        assert found[name][0].endswith("with facts")
     assert found["none"] == ["solved"]
     assert "the load is not what the ranks have made of it" in found["load"][0]
     assert "relative divergence" in found["solution"][0]
@@ -406,6 +409,9 @@ def test_a_run_that_fails_for_good_leaves_what_a_developer_needs(tmp_path, monke
     assert state.time == pytest.approx(0.1 * MYR)
     assert sum(path.stat().st_size for path in (folder / "failure").iterdir()) < 3e6
     assert json.loads((folder / "run.json").read_text())["exit_code"] == MeshError.exit_code
+    monkeypatch.undo()
+    run_job(job(tmp_path))
+    assert not (folder / "failure").exists()
 
 
 def test_a_run_that_failed_goes_on_from_the_step_before(tmp_path, monkeypatch):

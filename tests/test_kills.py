@@ -298,6 +298,33 @@ def test_every_damage_of_a_checkpoint_is_found(three_checkpoints):
     newest.write_bytes(content)
 
 
+def _huge(path):
+    path.touch()
+    os.truncate(path, 10**11)
+
+
+@pytest.mark.parametrize(
+    ("make", "told"),
+    [
+        (os.mkdir, "Is a directory"),
+        (os.mkfifo, "is not a regular file"),
+        (_huge, "is damaged"),
+        (lambda path: path.symlink_to("nowhere"), "No such file"),
+    ],
+    ids=["folder", "pipe", "huge", "link"],
+)
+def test_what_stands_where_a_checkpoint_was_costs_neither_time_nor_memory(
+    three_checkpoints, tmp_path, make, told
+):
+    folder = shutil.copytree(three_checkpoints, tmp_path / "checkpoints")
+    newest = max(folder.glob("step-*.h5"))
+    newest.unlink()
+    make(newest)
+    memory, notes = Checkpoints(folder).newest()
+    assert memory["step"] == 1
+    assert notes[0].startswith(f"checkpoint {newest.name}: {told}")
+
+
 def test_what_checkpoints_share_is_verified_too(three_checkpoints):
     kept = three_checkpoints / "kept-0.h5"
     content = kept.read_bytes()

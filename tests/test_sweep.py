@@ -212,6 +212,19 @@ BROKEN = {
         ":2:1: grid: makes 12000 runs; at most 10000",
     ),
     "dots": ("case: case.yaml\ngrid: {a..b: [1]}\n", ":2:7: grid: 'a..b' is no entry"),
+    "equals sign": ("case: case.yaml\ngrid: {a.b=1: [1]}\n", ":2:7: grid: 'a.b=1' is no entry"),
+    "undone": (
+        "case: case.yaml\nlist: [{a.b: 1, a: {b: 2}}]\n",
+        ":2:8: list.0: 'a' would undo 'a.b'; give it first",
+    ),
+    "far apart": (
+        "case: case.yaml\nlatin: {samples: 1, ranges: {a.b: -1e308 .. 1e308 m}}\n",
+        ":2:35: latin.ranges.a.b: '-1e308 .. 1e308 m': the ends are too far apart",
+    ),
+    "orders apart": (
+        "case: case.yaml\nlatin: {samples: 1, ranges: {a.b: log 1e-300 .. 1e300}}\n",
+        ":2:35: latin.ranges.a.b: 'log 1e-300 .. 1e300': the ends are too far apart",
+    ),
     "samples": (
         "case: case.yaml\nlatin: {ranges: {a.b: 1 .. 2}}\n",
         "latin.samples: is missing; giv",

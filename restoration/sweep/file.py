@@ -30,10 +30,15 @@ def not_empty(found):
 
 
 def entry_names(entries):
-    """Refuse what cannot be the name of an entry of a case."""
+    """Refuse what cannot be the name of an entry of a case, or would undo one before it."""
+    groups = {}
     for name in entries:
-        if not all(part.strip() for part in name.split(".")):
+        parts = name.split(".")
+        if "=" in name or not all(part.strip() for part in parts):
             raise ValueError(f"{quoted(name)} is no entry; write such as rocks.salt.viscosity")
+        if name in groups:
+            raise ValueError(f"{quoted(name)} would undo {quoted(groups[name])}; give it first")
+        groups |= {".".join(parts[:count]): name for count in range(1, len(parts))}
     return entries
 
 

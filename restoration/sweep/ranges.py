@@ -81,4 +81,6 @@ def read_range(value):
         raise ValueError(f"{quoted(value)}: {low} is not below {high}")
     if log and not found.low > 0:
         raise ValueError(f"{quoted(value)}: a log range begins above 0, not at {low}")
+    if not math.isfinite(found.high / found.low if log else found.high - found.low):
+        raise ValueError(f"{quoted(value)}: the ends are too far apart")
     return found

@@ -45,6 +45,9 @@ def test_table_goes_on_after_an_interruption(tmp_path):
     for columns, keep in ((["step"], 1), (["step", "time"], 5)):
         with pytest.raises(OutputError, match="not the table of this run"):
             Diagnostics(path, columns, keep=keep)
+    path.rename(tmp_path / "elsewhere.csv")
+    with pytest.raises(OutputError, match=r"not readable: .* begin anew with --fresh"):
+        Diagnostics(path, ["step", "time"], keep=3)
     Diagnostics(path, ["step"])
     assert path.read_text() == "step\n"
 
@@ -147,7 +150,8 @@ def test_record_that_is_interrupted_leaves_the_old_one(tmp_path, monkeypatch):
         (errno.EACCES, "you may not write here: write to another folder"),
         (errno.EROFS, "the disk is read-only"),
         (errno.EDQUOT, "the disk quota is used up"),
-        (errno.EIO, "Input/output error"),
+        (errno.EIO, "the disk fails"),
+        (errno.ENXIO, "No such device or address"),
     ],
 )
 def test_faults_of_the_disk_say_what_to_do(tmp_path, monkeypatch, number, advice):

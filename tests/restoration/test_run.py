@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from restoration.errors import CaseError, OutputError, SolveError, StoppedError
+from restoration.errors import CaseError, MeshError, OutputError, SolveError, StoppedError
 from restoration.output import RECORD
-from restoration.run import Job, StopRequest, locked, march, next_time, run_job
+from restoration.run import MOST_STEPS, Job, StopRequest, locked, march, next_time, run_job
 from restoration.saved import read_particles
 from restoration.scene import OutputPlan, TimePlan, Wall
 from tests.restoration.conftest import MYR, PlainEngine, diapir_scene
@@ -52,6 +52,25 @@ def test_the_march_passes_every_mark_exactly(marks, stable):
     for a, b in itertools.pairwise(marks):
         between = [t for t in seen if min(a, b) <= t <= max(a, b)]
         assert len(between) >= 5  # min_steps
+
+
+class WeldingEngine(FakeEngine):
+    """An engine that cannot go beyond a time, however short its steps are."""
+
+    def stable_step(self, state, mark):
+        return min(self.stable, self.longest)
+
+    def guard(self, state):
+        if state.time > np.pi:
+            raise MeshError("a cell has turned over")
+
+
+def test_steps_that_fail_before_a_time_end_the_march_by_what_has_failed():
+    engine = WeldingEngine(1.0)
+    with pytest.raises(MeshError, match=r"turned over; shorter steps, down to .*") as caught:
+        march(FakeState(0), engine, TimePlan((0, 1000), "rk4", 1.0, 4))
+    assert caught.value.memory.time == pytest.approx(np.pi, abs=3 * 1000 / MOST_STEPS)
+    assert engine.retried < 100
 
 
 def test_no_sliver_steps():
@@ -251,6 +270,15 @@ def test_a_run_of_another_case_is_not_overwritten(tmp_path):
 def test_two_runs_do_not_share_a_folder(tmp_path):
     with locked(tmp_path / "run"), pytest.raises(CaseError, match="another run is at work"):
         run_job(job(tmp_path))
+
+
+@pytest.mark.parametrize("other", ["link", "run/../run", "link/."])
+def test_a_folder_in_use_is_known_by_other_names(tmp_path, other):
+    (tmp_path / "run").mkdir()
+    (tmp_path / "link").symlink_to("run")
+    refused = pytest.raises(CaseError, match="another run is at work")
+    with locked(tmp_path / "run"), refused, locked(tmp_path / other):
+        pass
 
 
 def test_folder_name_follows_the_case():

@@ -261,9 +261,20 @@ def test_folder_that_is_a_file(tmp_path):
 
 def test_broken_series_cannot_go_on(tmp_path):
     (tmp_path / "p.h5").write_bytes(b"not HDF5")
-    with pytest.raises(OutputError, match=r"p.h5: .* remove it"):
+    with pytest.raises(OutputError, match=r"p.h5: not readable: .* begin anew with --fresh"):
         ParticleSeries(tmp_path / "p", until=1.0)
     ParticleSeries(tmp_path / "p").write(0, np.zeros((3, 2)))
+
+
+@pytest.mark.parametrize("lost", ["p.h5", "p-2.h5", "p-3.h5"])
+def test_a_series_that_has_lost_frames_cannot_go_on(tmp_path, monkeypatch, lost):
+    monkeypatch.setattr(xdmf, "PART_SIZE", 20_000)
+    first = ParticleSeries(tmp_path / "p")
+    for i in range(20):
+        first.write(i, np.full((100, 2), float(i)))
+    (tmp_path / lost).unlink()
+    with pytest.raises(OutputError, match=r"p.h5: frames are missing: .* begin anew with --fresh"):
+        ParticleSeries(tmp_path / "p", until=19.0)
 
 
 def external(h5):
