@@ -10,6 +10,7 @@ help:
 	@echo "make torture  set up, the tests of reliability with all their kills, faults and attacks: a night"
 	@echo "make profile  set up, say where a diapir, a graben and a 3-D run spend their time"
 	@echo "make trade  set up, measure the fronts of docs/trade.md anew: half an hour; choose with ARGS"
+	@echo "make limits  set up, measure docs/limits.md anew, where it holds: half an hour; choose with ARGS"
 	@echo "make lint   set up, check the style"
 	@echo "make clean  remove .venv, caches and built files; runs/ stays"
 
@@ -31,6 +32,9 @@ profile: setup
 trade: setup
 	$(PYTHON) docs/trade.py $(ARGS)
 
+limits: setup
+	$(PYTHON) docs/limits.py $(ARGS)
+
 lint: setup
 	$(PYTHON) -m ruff check .
 	$(PYTHON) -m ruff format --check .
@@ -39,4 +43,4 @@ clean:
 	rm -rf .venv build *.egg-info .pytest_cache .ruff_cache
 	find . -name __pycache__ -prune -exec rm -rf {} +
 
-.PHONY: help setup demo test torture profile trade lint clean
+.PHONY: help setup demo test torture profile trade limits lint clean

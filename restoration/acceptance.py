@@ -14,7 +14,7 @@ from petsc4py import PETSc
 
 from restoration.errors import SolveError, TooLargeError
 
-# Mean divergence over the speed across the section: rounding makes 4e-4 where viscosities differ by
+# Mean divergence over the speed across the section: rounding makes 1e-3 where viscosities differ by
 # 1e12 and 1e-9 where by 1e6 (`docs/measure.py divergence`); ghosts of another flow make 1 and more.
 MOST_DIVERGENCE = 1e-2
 SAME = 1e-8  # relative, between two sums that are one but for rounding

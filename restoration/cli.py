@@ -14,6 +14,7 @@ from restoration.environment import (
     check_environment,
     take_early,
     use_jit_cache,
+    use_matplotlib_cache,
     use_numba_cache,
 )
 from restoration.errors import (
@@ -57,6 +58,7 @@ def _commanded(options, rank, size):
             if rank == 0:
                 print(f"warning: {warning}", file=sys.stderr)
         use_numba_cache()
+        use_matplotlib_cache()
         code = options.command(options)
         sys.stdout.flush()
         return code
@@ -231,7 +233,6 @@ def _run(options):
     checkpoint = how_often(options.checkpoint)
     walltime = None if options.walltime is None else wall_time(options.walltime)
 
-    take_early()
     with StopRequest() as stop:  # already here: a Ctrl-C while a library loads would break it
         loaded = _load(options)
         if options.prove:
@@ -239,6 +240,7 @@ def _run(options):
         for note in loaded.scene.notes if rank_and_size()[0] == 0 else ():
             print(f"note: {note}", file=sys.stderr)
         use_jit_cache()
+        take_early()
         path = Path(options.case).absolute()
         job = Job(
             path,

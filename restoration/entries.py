@@ -329,7 +329,7 @@ class Surface(Entry):
     theta: Annotated[float, Field(ge=0, le=1)] = 0.0
     reverse: words("auto", "integrate", "slave", "stabilise") = "auto"
     motion: words("vertical", "normal") = "vertical"
-    limit: Annotated[float, Field(gt=0, le=1e6)] = 0.5
+    limit: Annotated[float, Field(gt=0, le=1)] = 0.5  # above 1 a surface grows
     air: AirEntry | None = None
     noise: quantity("length", above=0.0) = Quantity("1 m", 1.0)
     tolerance: quantity("length", above=0.0) = Quantity("100 m", 100.0)

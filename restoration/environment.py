@@ -168,9 +168,8 @@ def jit_cache(name="fenics"):
     else in a temporary folder.
     """
     key = hashlib.sha256(f"{sys.prefix} {sys.implementation.cache_tag}".encode()).hexdigest()[:8]
-    user = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
     places = [
-        Path(user) / f"restoration-{key}",
+        _home("XDG_CACHE_HOME", ".cache") / f"restoration-{key}",
         Path(tempfile.gettempdir()) / f"restoration-{os.getuid()}-{key}",
     ]
     if sys.prefix != sys.base_prefix:
@@ -187,6 +186,15 @@ def jit_cache(name="fenics"):
         except OSError:
             continue
     return Path(tempfile.mkdtemp(prefix="restoration-"))
+
+
+def _home(variable, name):
+    """Return a folder of the user: what a variable says, or one in the home."""
+    given = os.environ.get(variable)
+    try:
+        return Path(given) if given else Path.home() / name
+    except RuntimeError:  # a user without a home
+        return Path(os.devnull) / name
 
 
 def use_jit_cache():
@@ -409,6 +417,19 @@ def take_early():
         together.set()
     numba.get_num_threads()
     import mpi4py.MPI  # noqa: F401
+
+
+def use_matplotlib_cache():
+    """Keep what matplotlib notes of fonts in `jit_cache` where the user's home cannot hold it.
+
+    It would warn, and look for all fonts again in every process. To be called before it is
+    imported.
+    """
+    try:
+        for variable, name in (("XDG_CONFIG_HOME", ".config"), ("XDG_CACHE_HOME", ".cache")):
+            (_home(variable, name) / "matplotlib").mkdir(parents=True, exist_ok=True)
+    except OSError:
+        os.environ.setdefault("MPLCONFIGDIR", str(jit_cache("matplotlib")))
 
 
 _locks = {}

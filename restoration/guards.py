@@ -149,8 +149,10 @@ class StepGuards:
     def _look_at_surface(line):
         run, rise = np.diff(line, axis=0).T
         steep = np.abs(rise) - STEEPEST_CELL * run
-        if (steep > 0).any() or not np.isfinite(steep.sum()):
-            worst = int(np.nan_to_num(steep, nan=np.inf).argmax())
+        if not np.isfinite(steep.sum()):
+            raise MeshError("the surface is nowhere: its heights are not finite")
+        if (steep > 0).any():
+            worst = int(steep.argmax())
             rise, run = (show(abs(float(part[worst])), "length") for part in (rise, run))
             raise MeshError(
                 f"the surface is too steep near {place(line[worst])}: {rise} over {run}; it stands "
@@ -161,7 +163,8 @@ class StepGuards:
 def place(x):
     """Return coordinates as text, m; the last axis is z."""
     names = "xz" if len(x) == 2 else "xyz"
-    return " and ".join(f"{n} = {show(float(v), 'length')}" for n, v in zip(names, x, strict=True))
+    told = [show(float(v), "length") if np.isfinite(v) else "nowhere" for v in x]
+    return " and ".join(f"{n} = {text}" for n, text in zip(names, told, strict=True))
 
 
 def look_at_fields(grid):

@@ -43,12 +43,14 @@ from restoration.scene import (
 from restoration.shapes import digest_of, find_source, from_file, from_layers, on_columns
 from restoration.stopping import find_stop
 from restoration.stopping import notes as stop_notes
-from restoration.units import Quantity
+from restoration.units import Quantity, show
 from restoration.walls import loose, misplaced, unbalanced, wall_of
 from restoration.words import listed
 
 MOST_CELLS = 1_000_000  # triangles or tetrahedra, of about 4.5 unknowns each
 MOST_PARTICLES = 20_000_000
+# Length of cells over their height: at 30 a long wave sank where it should rise (docs/limits.md).
+MOST_FLAT = 10
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,7 +95,7 @@ def load(path, overrides=(), allow_outside=False):
     faults = _wall_faults(case, walls, shape, tree) if dim == 2 else []
     cells = _cells(case, shape.outline)
     outline, cut = on_columns(shape.outline, cells[0], walls["surface"].kind == "free")
-    faults += _too_large(case, cells, tree)
+    faults += _too_large(case, cells, tree) + _too_flat(case, cells, shape.outline, tree)
     stop, unmet = find_stop(case, shape, walls, tree)
     faults += unmet
     if faults:
@@ -329,3 +331,23 @@ def _too_large(case, cells, tree):
             )
         ]
     return []
+
+
+def _too_flat(case, cells, outline, tree):
+    """Return the fault of cells in columns that are much longer than high, or higher than long."""
+    if case.mesh.interfaces == "fitted" or not isinstance(case.mesh.cells, tuple):
+        return []
+    length = [case.section.box.length.si] if _has_length(case) else []
+    sides = [
+        side / count
+        for side, count in zip([outline.width, *length, outline.height], cells, strict=True)
+    ]
+    if max(sides) <= MOST_FLAT * min(sides):
+        return []
+    best = min(outline.width, outline.height) / min(cells[0], cells[-1])
+    message = (
+        f"cells are {show(max(sides), 'length')} by {show(min(sides), 'length')}; at most "
+        f"{MOST_FLAT} times as long as high are possible, such as squares of "
+        f"{show(best, 'length')}; mesh.interfaces: fitted makes its own"
+    )
+    return [tree.fault(("mesh", "cells"), message)]

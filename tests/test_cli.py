@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 
 from restoration.cli import main
+from tests.vtk_reads import read_by_vtk
 
 ROOT = Path(__file__).parents[1]
 DEMO = ROOT / "cases" / "diapir-isoviscous" / "case.yaml"
@@ -147,3 +148,30 @@ def test_help_is_quick(tmp_path):
     begin = time.perf_counter()
     assert restore("--help", cwd=tmp_path).returncode == 0
     assert time.perf_counter() - begin < 1
+
+
+@pytest.mark.slow
+def test_odd_surroundings(tmp_path):
+    """R21: spaces and umlauts, no locale, no display, a home that holds nothing."""
+    folder = tmp_path / "Übung mit Maß"
+    folder.mkdir()
+    (folder / "Fläche 1.yaml").write_bytes(DEMO.read_bytes())
+    sets = ["mesh.cells=6", "time.marks=[0 Ma, 0.2 Ma]", "time.min_steps=2", "certificate=off"]
+    flags = [part for entry in sets for part in ("--set", entry)]
+    command = [sys.executable, "-m", "restoration.cli", "run", "Fläche 1.yaml", *flags]
+    for arguments in ([], ["--out", "zwei Läufe"]):
+        done = subprocess.run(
+            [*command, *arguments],
+            cwd=folder,
+            env={"PATH": "/usr/bin:/bin", "LANG": "C", "HOME": "/proc", "PYTHONPATH": str(ROOT)},
+            capture_output=True,
+            check=False,
+        )
+        assert done.returncode == 0, done.stderr
+        assert b"WARNING" not in done.stderr
+        assert b"figures" in done.stdout
+    (run,) = (folder / "runs").iterdir()
+    assert run.name.startswith("Fläche 1-")
+    for out in (run, folder / "zwei Läufe"):
+        assert json.loads((out / "run.json").read_text())["ended_well"] is True
+        assert set(read_by_vtk(out)) == {"fields.xdmf", "particles.xdmf"}

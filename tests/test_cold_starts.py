@@ -12,6 +12,7 @@ from pathlib import Path
 
 import pytest
 
+from restoration.environment import Builds
 from tests.torture import tries
 
 ROOT = Path(__file__).parents[1]
@@ -228,3 +229,30 @@ def test_a_damaged_cache_of_kernels_is_mended(tmp_path):
             done = answer()
             assert (done.stdout, done.returncode) == ("42\n", 0), done.stderr
             assert answer().stdout == "42\n"
+
+
+@pytest.mark.parametrize("error", [TimeoutError, ImportError, AttributeError])
+def test_what_cannot_be_loaded_is_removed_and_looked_for_once_more(tmp_path, error):
+    """A build that was begun by a program without locks, and is not ours to remove at first."""
+    source, asked = tmp_path / "libffcx_x.c", []
+    source.touch()
+
+    def find(name, objects, folder, timeout):
+        asked.append(source.exists())
+        if len(asked) < 2:
+            raise error("it cannot be loaded")
+        return None, None
+
+    builds = Builds()
+    assert builds.finding(find)("libffcx_x", ["f"], tmp_path, 1) == (None, None)
+    assert asked == [True, False]
+
+    def build(*arguments):
+        for suffix in (".c", ".c.cached", ".so"):
+            (tmp_path / f"libffcx_x{suffix}").write_text("built")
+        return "content"
+
+    arguments = ("decl", [], ["f"], "libffcx_x", {}, tmp_path, None, False, None, None)
+    assert builds.compiling(build)(*arguments) == "content"
+    with open(tmp_path / "libffcx_x.lock", "w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)  # given back

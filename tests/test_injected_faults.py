@@ -314,11 +314,12 @@ def later(strike, by):
 
 
 def ended(the_scene):
-    """Return where the particles end, and the error that has ended the run, or None."""
+    """Return where the particles end, the error that has ended the run or None, steps retried."""
     try:
-        return run(the_scene)[0], None
+        x, made = run(the_scene)
     except (RestorationError, MemoryError) as error:
-        return None, error
+        return None, error, 0
+    return x, None, made.retried
 
 
 def meets(x, error, end, sound):
@@ -339,7 +340,8 @@ def test_a_fault_is_made_good_or_told(name, by, monkeypatch, sound):
     strikes = [later(strike, by) for strike in strikes]
     for strike in strikes:
         strike.arm(monkeypatch)
-    x, error = ended(scene())
+    x, error, retried = ended(scene())
+    assert (retried > 0) == (end == "near")
     assert all(strike.struck for strike in strikes)
     assert meets(x, error, end, sound), error
     assert error is None or "\n" not in str(error)
@@ -361,7 +363,7 @@ def split(**options):
 
 
 def test_a_field_split_that_stagnates_is_told():
-    _, error = ended(split(ksp_max_it=2))
+    _, error, _ = ended(split(ksp_max_it=2))
     assert error.exit_code == SolveError.exit_code
     assert "solver: {name: direct}" in str(error)
 
@@ -369,7 +371,7 @@ def test_a_field_split_that_stagnates_is_told():
 def test_a_field_split_that_stagnates_gives_way(monkeypatch, sound):
     monkeypatch.setattr(solvers, "FIELDSPLIT_FROM", {2: 0, 3: 0})
     monkeypatch.setitem(solvers.FIELDSPLIT, "ksp_max_it", 2)
-    x, error = ended(scene())
+    x, error, _ = ended(scene())
     assert meets(x, error, "same", sound), error
 
 
@@ -378,7 +380,7 @@ def test_a_fault_in_the_direct_solver_that_a_field_split_gives_way_to(monkeypatc
     monkeypatch.setitem(solvers.FIELDSPLIT, "ksp_max_it", 2)
     strike = solved(lambda x, _: x.set(0))
     strike.arm(monkeypatch)
-    x, error = ended(scene())
+    x, error, _ = ended(scene())
     assert strike.struck
     assert meets(x, error, "same", sound), error
 

@@ -15,8 +15,8 @@ from tests.test_mpi import ROOT
 from tests.torture import tries
 
 MB = 2**20
-USUAL = (60, 200, 400, 750, 1000, 1150)  # MB, from where numpy cannot be loaded to nearly enough
-LIMITS = tries(USUAL, tuple(np.linspace(50, 1600, 40).astype(int)))
+USUAL = (60, 200, 400, 750, 1150, 1350)  # MB, from where numpy cannot be loaded to nearly enough
+LIMITS = tries(USUAL, tuple(np.linspace(50, 1800, 40).astype(int)))
 PATIENCE = 120.0  # s, that no run of this size needs
 
 

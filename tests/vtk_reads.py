@@ -32,7 +32,7 @@ def stored(item, folder):
 def same(read, kept, what):
     """Refuse values that are not those kept; VTK holds points in single precision."""
     kept = np.asarray(kept)
-    if kept.ndim == 2 and kept.shape[1] < 3 and read.ndim == 2:
+    if kept.ndim == 2 and kept.shape[1] < 3 == read.shape[-1]:
         kept = np.column_stack([kept, np.zeros((len(kept), 3 - kept.shape[1]))])
     assert read.shape == kept.shape, f"{what}: {read.shape} for {kept.shape}"
     assert np.array_equal(read, kept.astype(read.dtype), equal_nan=True), what

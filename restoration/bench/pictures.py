@@ -2,7 +2,15 @@
 
 import numpy as np
 
-from restoration.bench import certificate, paper, peers, reverse_surface
+from restoration.bench import (
+    certificate,
+    contrasts,
+    extremes,
+    paper,
+    peers,
+    reverse_surface,
+    shapes,
+)
 from restoration.bench.exact import two_layer_growth_rate
 from restoration.bench.reference import RAMBERG, sinking_block_velocity
 from restoration.page import Page, style
@@ -448,4 +456,7 @@ PANELS = {
     "certificate": certificate.panels,
     "paper": paper.panels,
     "peers": peers.panels,
+    "contrasts": contrasts.panels,
+    "extremes": extremes.panels,
+    "shapes": shapes.panels,
 }

@@ -26,7 +26,7 @@ from restoration.resolve import load
 from restoration.run import march
 from restoration.surface import line_area
 
-SHAPES, QUICK = 200, 40
+SHAPES, QUICK = 64, 40
 PATIENCE = 120  # s that a shape may take; the slowest took a tenth of that
 RESIDUAL, AREA = 1e-8, 1e-6  # true relative residual; change of the area in two steps
 CUT = 2e-3  # of the area, that the cells below a free surface may cut off or add
@@ -268,24 +268,16 @@ def told(first, last):
     """Yield what becomes of the shapes from ``first`` to before ``last``, each a dict."""
     number = first
     while number < last:
-        child = subprocess.Popen(
-            [sys.executable, "-m", "restoration.bench.shapes", str(number), str(last)],
-            stdout=subprocess.PIPE,
-            stderr=subprocess.DEVNULL,
-            text=True,
-        )
-        watch = None
-        for line in child.stdout:
-            if watch is not None:
-                watch.cancel()
-            found = json.loads(line)
-            if found is not None:
-                number += 1
-                yield found
-            watch = threading.Timer(PATIENCE, child.kill)
-            watch.start()
-        code = child.wait()
-        watch.cancel()
+        command = [sys.executable, "-m", "restoration.bench.shapes", str(number), str(last)]
+        quiet = {"stdout": subprocess.PIPE, "stderr": subprocess.DEVNULL}
+        with subprocess.Popen(command, text=True, **quiet) as child, Watch(child) as watch:
+            for line in child.stdout:
+                watch.begin()
+                found = json.loads(line)
+                if found is not None:
+                    number += 1
+                    yield found
+            code = child.wait()
         if number < last:
             yield {
                 "number": number,
@@ -297,6 +289,30 @@ def told(first, last):
             number += 1
 
 
+class Watch:
+    """Ends a process that says nothing for `PATIENCE`, and any at the end of its context."""
+
+    def __init__(self, process):
+        self._process, self._timer = process, None
+
+    def begin(self):
+        """Begin to wait, anew."""
+        self._cancel()
+        self._timer = threading.Timer(PATIENCE, self._process.kill)
+        self._timer.start()
+
+    def _cancel(self):
+        if self._timer is not None:
+            self._timer.cancel()
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        self._cancel()
+        self._process.kill()
+
+
 def run_shapes(quick):
     """Sections made at random, at the limits of what can be drawn: solved, or refused."""
     clock = Clock()
@@ -306,7 +322,7 @@ def run_shapes(quick):
         solved = [row for row in some if row["verdict"] == "solved"]
         refused = [row for row in some if row["verdict"] == "refused"]
         silent = [row for row in some if row["verdict"] == "silent"]
-        counts = {"solved": len(solved), "refused": len(refused), "silent": len(silent)}
+        counts = {"solved": len(solved), "refusals": len(refused), "silent": len(silent)}
         worst = {
             name: max((abs(row[name]) for row in solved), default=None)
             for name in ("residual", "cut", "area", "rock")
@@ -323,6 +339,20 @@ def run_shapes(quick):
             wall_s=clock.seconds,
             parameters=counts | worst | {"why": reasons, "wrong": silent},
         )
+
+
+def panels(rows):
+    """Return the panel of the figure, see `pictures.draw`: what became of the shapes by kind."""
+    series = {
+        name: (
+            [1 + KINDS.index(row.case) for row in rows],
+            [row.parameters[name] for row in rows],
+            "",
+        )
+        for name in ("solved", "refusals", "silent")
+    }
+    series |= {f"{i}: {kind}": ([], [], "line") for i, kind in enumerate(KINDS, 1)}
+    return [("sections made at random", "kind", "shapes", ("linear", "linear"), series)]
 
 
 def main(first, last):

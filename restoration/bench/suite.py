@@ -7,6 +7,7 @@ from restoration.bench import (
     advection,
     certificate,
     contrasts,
+    extremes,
     graben,
     gravity,
     paper,
@@ -39,6 +40,7 @@ BENCHMARKS = {
     "solvers": solving.run_solvers,
     "adaption": solving.run_adaption,
     "contrasts": contrasts.run_contrasts,
+    "extremes": extremes.run_extremes,
     "shapes": shapes.run_shapes,
     "surface-relaxation": surfaces.run_surface_relaxation,
     "sloshing": surfaces.run_sloshing,
@@ -113,6 +115,8 @@ def line(row):
         parts.append(f"(reference {row.reference:.6g}, {row.relative_error:+.2e})")
     if row.held is not None:
         parts.append(f"held to {row.bound:g}" if row.held else f"MISSED: held to {row.bound:g}")
+    if "refused" in row.parameters:
+        parts.append(row.parameters["refused"])
     if row.unknowns:
         parts.append(f"{row.unknowns} unknowns")
     if row.wall_s:

@@ -373,12 +373,11 @@ def test_the_field_split_finds_the_velocity_or_says_that_it_does_not(dim, contra
     """A residual of 1e-8 came with a velocity 75 times too large: the load is hydrostatic."""
     n = {2: 16, 3: 4}[dim]
     expected = sinking_block(dim, n, contrast, "direct", rough=True).flow.u
-    try:
-        found = sinking_block(dim, n, contrast, "fieldsplit", rough=True).flow.u
-    except SolveError as error:
-        assert contrast < 1e-3
-        assert "too rough" in str(error)
+    if contrast < 1e-3:
+        with pytest.raises(SolveError, match="too rough"):
+            sinking_block(dim, n, contrast, "fieldsplit", rough=True)
     else:
+        found = sinking_block(dim, n, contrast, "fieldsplit", rough=True).flow.u
         assert np.linalg.norm(found - expected) < 1e-4 * np.linalg.norm(expected)
     fallen_back = sinking_block(dim, n, contrast, "auto", rough=True).flow.u
     assert np.linalg.norm(fallen_back - expected) < 1e-4 * np.linalg.norm(expected)

@@ -311,6 +311,27 @@ def test_numba_caches_beside_the_source_or_in_our_folder(places, monkeypatch):
     assert os.environ["NUMBA_CACHE_DIR"] == str(places / "venv/cache/numba")
 
 
+def test_matplotlib_keeps_its_notes_in_our_folder_where_the_home_holds_nothing(places, monkeypatch):
+    monkeypatch.setenv("MPLCONFIGDIR", "kept")
+    monkeypatch.delenv("MPLCONFIGDIR")
+    monkeypatch.setenv("XDG_CONFIG_HOME", str(places / "home"))
+    environment.use_matplotlib_cache()
+    assert "MPLCONFIGDIR" not in os.environ
+    monkeypatch.setenv("XDG_CONFIG_HOME", "/proc")
+    environment.use_matplotlib_cache()
+    assert os.environ["MPLCONFIGDIR"] == str(places / "venv/cache/matplotlib")
+
+
+def test_a_user_without_a_home(places, monkeypatch):
+    def none():
+        raise RuntimeError("Could not determine home directory.")
+
+    monkeypatch.delenv("XDG_CACHE_HOME")
+    monkeypatch.setattr(Path, "home", none)
+    block(places / "venv")
+    assert environment.jit_cache().is_relative_to(places / "tmp")
+
+
 def test_the_command_says_what_is_wrong(monkeypatch, capsys):
     monkeypatch.setattr(environment, "check_environment", lambda: ["slow"])
     assert environment.main([]) == 0
