@@ -225,3 +225,16 @@ def test_one_of_other_versions_is_taken_with_a_note():
     ]
     del found["versions"][name]
     assert f"{name} None, now" in newest(of({"about": found}), JOB)[1][0]
+
+
+def test_a_short_wall_time_is_used(clock):
+    """Nothing is known of steps and checkpoints before the first ones."""
+    run = Run(clock, every=1000, walltime=1.0)
+    for _ in range(9):
+        run.step(0.1)
+    Keeper(run.recorder, None, walltime=0.01).check()
+
+
+def test_nobody_asks_a_run_to_stop_unless_told(clock):
+    run = Run(clock)
+    Keeper(run.recorder, None)(0, None)
