@@ -230,7 +230,7 @@ def test_one_of_other_versions_is_taken_with_a_note():
 def test_a_short_wall_time_is_used(clock):
     """Nothing is known of steps and checkpoints before the first ones."""
     run = Run(clock, every=1000, walltime=1.0)
-    for _ in range(9):
+    for _ in range(7):
         run.step(0.1)
     Keeper(run.recorder, None, walltime=0.01).check()
 
