@@ -115,6 +115,7 @@ class Keeper:
         recorder.ranks.alone(self._checkpoints.write, recorder.steps, memory)
         self._passed, self._written = passed, time.monotonic()
         self._cost = self._written - begin
+        self._last = self._written  # what a checkpoint takes is no part of the next step
 
 
 def about(job):

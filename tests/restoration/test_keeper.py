@@ -1,30 +1,37 @@
-"""When checkpoints are due and a run has to stop, by a clock that the tests set."""
+"""When checkpoints are due and when a run stops, by a clock that the tests hold."""
 
+from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
 
 from restoration import keeper
-from restoration.errors import CaseError, StoppedError
-from restoration.keeper import Keeper, how_often, wall_time
+from restoration.errors import CaseError, CheckpointError, StoppedError
+from restoration.keeper import Keeper, about, how_often, newest, wall_time
 from restoration.ranks import ALONE
+
+JOB = SimpleNamespace(sha256="a1")
 
 
 @pytest.mark.parametrize(
     ("text", "seconds"),
     [
         ("23 h", 82800),
-        ("90min", 5400),
-        ("1.5 d", 129600),
+        ("90 min", 5400),
         ("3600 s", 3600),
-        (" 23:30:00 ", 84600),
-        ("100:00:01", 360001),
-        ("2-01:30", 178200),
-        ("1-00:00:05", 86405),
+        ("1.5 d", 129600),
+        ("2h", 7200),
+        (" 0.5 s ", 0.5),
+        ("23:30:15", 84615),
+        ("00:00:01", 1),
+        ("1-02:03", 93780),
+        ("2-00:00:09", 172809),
+        ("1000:00:00", 3600000),
     ],
 )
 def test_wall_times(text, seconds):
     assert wall_time(text) == seconds
+    assert type(wall_time(text)) is float
 
 
 @pytest.mark.parametrize(
@@ -32,19 +39,20 @@ def test_wall_times(text, seconds):
     [
         "",
         "0 s",
-        "00:00:00",
-        "-5 h",
-        "1e3 s",
-        "inf h",
-        "5 weeks",
-        "5",
-        "1:99:00",
-        "1:00:60",
-        "30:00",
+        "0:00:00",
+        "-1 h",
+        "1",
+        "1 y",
+        "1  h",
+        "h",
+        "1 h 30 min",
+        "1:2",
+        "1:00:00:00",
+        "nan s",
     ],
 )
 def test_what_is_no_wall_time(text):
-    with pytest.raises(CaseError, match=r"^--walltime: .*; write "):
+    with pytest.raises(CaseError, match=r"^--walltime: '.*' is no time; write such as 23 h"):
         wall_time(text)
 
 
@@ -56,74 +64,181 @@ def test_what_slurm_reads_as_minutes_is_not_taken_for_hours():
 def test_how_often():
     assert how_often("auto") == "auto"
     assert how_often("off") is None
-    assert how_often("12") == 12
-    for text in ("", "0", "-1", "1.5", "AUTO", "on", "9" * 10):
-        with pytest.raises(CaseError, match=r"--checkpoint: .* is not possible"):
+    assert [how_often(text) for text in ("1", "20", "999999999")] == [1, 20, 999999999]
+    for text in ("0", "-1", "1.5", "on", "", "01", "1000000000", "1 step"):
+        with pytest.raises(CaseError, match="auto, off or a number of steps is"):
             how_often(text)
 
 
-class FakeRun:
-    """A recorder and checkpoints whose steps and writing take time of a clock of their own."""
+class Clock:
+    """Tells the time; writing a checkpoint takes ``cost`` of it."""
 
-    ranks, job = ALONE, None
-
-    def __init__(self, monkeypatch, cost=1.0):
-        self.now, self.cost, self.steps, self.written = 0.0, cost, 0, []
+    def __init__(self, monkeypatch):
+        self.now, self.cost = 1000.0, 0.0
         monkeypatch.setattr(keeper, "time", SimpleNamespace(monotonic=lambda: self.now))
-        monkeypatch.setattr(keeper, "about", lambda job: {})
-
-    def memory(self, state):
-        return {}
 
     def write(self, step, memory):
         self.now += self.cost
-        self.written.append(step)
+        self.written.append((step, memory))
 
-    def step(self, keep, seconds, passed=0):
-        self.steps += 1
-        self.now += seconds
-        keep(passed, None)
+    written = None
 
 
-def test_automatic_checkpoints_take_a_twentieth_of_the_time(monkeypatch):
-    run = FakeRun(monkeypatch)
-    keep = Keeper(run, run)
-    for _ in range(100):
-        run.step(keep, 5.0)
-    assert run.written == [1, *range(5, 101, 4)]  # the first mark, and after 20 s each
-    run.step(keep, 0.1, passed=1)
-    assert run.written[-1] == 101  # at a mark
+@pytest.fixture
+def clock(monkeypatch):
+    return Clock(monkeypatch)
 
 
-def test_checkpoints_after_so_many_steps(monkeypatch):
-    run = FakeRun(monkeypatch)
-    keep = Keeper(run, run, every=3)
+class Run:
+    """A run that steps as the tests let it."""
+
+    def __init__(self, clock, checkpoints=True, **options):
+        self.clock, self.passed, self.asked = clock, 0, False
+        clock.written = []
+        self.recorder = SimpleNamespace(
+            ranks=ALONE, steps=0, job=JOB, memory=lambda state, _: {"state": state}
+        )
+        kept = clock if checkpoints else None
+        self.keeper = Keeper(self.recorder, kept, wanted=lambda: self.asked, **options)
+
+    def step(self, seconds=1.0):
+        """Make a step, and return whether a checkpoint was written."""
+        before = len(self.clock.written)
+        self.recorder.steps += 1
+        self.clock.now += seconds
+        self.keeper(self.passed, f"state {self.recorder.steps}")
+        return len(self.clock.written) > before
+
+
+def test_every_few_steps(clock):
+    run = Run(clock, every=3)
+    assert [run.step() for _ in range(7)] == [False, False, True, False, False, True, False]
+    assert [step for step, _ in clock.written] == [3, 6]
+    assert clock.written[1][1] == {"state": "state 6", "passed": 0, "about": about(JOB)}
+
+
+def test_by_itself_one_is_written_as_often_as_it_is_worth(clock):
+    run = Run(clock)
+    clock.cost = 2.0
+    assert run.step()  # the first step, whose cost is not known
+    assert not any(run.step(10.0) for _ in range(3))  # 30 s of 40
+    assert not run.step(9.99)
+    assert run.step(0.01)  # 20 times 2 s since the last one was written
+    clock.cost = 1.0
+    assert run.step(40.0)
+    assert not run.step(19.0)
+    assert run.step(1.0)
+
+
+def test_by_itself_one_is_written_at_every_mark(clock):
+    run = Run(clock)
+    clock.cost = 100.0
+    written = []
+    for run.passed in (0, 0, 1, 1, 2):
+        written.append(run.step())
+    assert written == [True, False, True, False, True]
+    assert [memory["passed"] for _, memory in clock.written] == [0, 1, 2]
+
+
+def test_a_wish_to_stop_is_followed_by_a_checkpoint(clock):
+    run = Run(clock, every=100)
+    run.step()
+    run.keeper.check()
+    run.asked = True
+    with pytest.raises(StoppedError, match="stopped on request"):
+        run.step()
+    assert [step for step, _ in clock.written] == [2]
+    with pytest.raises(StoppedError, match="stopped on request"):
+        run.keeper.check()
+    assert len(clock.written) == 1
+
+
+def test_without_checkpoints_none_is_written(clock):
+    run = Run(clock, checkpoints=False)
+    assert not run.step()
+    run.asked = True
+    with pytest.raises(StoppedError):
+        run.step()
+    assert clock.written == []
+
+
+@pytest.mark.parametrize("late", [False, True])
+def test_a_run_ends_within_its_wall_time(clock, late):
+    """After 60 s of 85 there are 25: two of the longest step of 10 s and a checkpoint of 5 s."""
+    clock.cost = 5.0
+    run = Run(clock, walltime=85.0 - late * 0.01)
+    run.step(10.0)  # and the checkpoint: 15 s have passed
+    run.step(10.0)
+    run.step(4.0)
+    for _ in range(3):
+        run.step(10.0)
+    assert clock.now == 1059.0
+    if late:
+        with pytest.raises(StoppedError):
+            run.step(1.0)
+        assert len(clock.written) == 2
+        with pytest.raises(StoppedError):
+            run.keeper.check()
+    else:
+        assert not run.step(1.0)
+        run.keeper.check()
+
+
+def test_the_longest_step_counts_not_the_last(clock):
+    run = Run(clock, every=1000, walltime=100.0)
+    run.step(30.0)
+    run.step(5.0)  # 65 s are left, and 60 are needed
+    with pytest.raises(StoppedError):
+        run.step(6.0)
+
+
+def of(memory, *notes):
+    return SimpleNamespace(folder=Path("run/checkpoints"), newest=lambda: (memory, list(notes)))
+
+
+def test_a_run_without_checkpoints_begins_without_a_word():
+    assert newest(of(None), JOB) == (None, [])
+
+
+def test_a_run_whose_checkpoints_are_all_damaged_says_so():
+    memory, notes = newest(of(None, "one is damaged"), JOB)
+    assert memory is None
+    assert notes == ["one is damaged", "no checkpoint is whole: the run begins anew"]
+
+
+def test_the_newest_is_gone_on_from():
+    memory = {"about": about(JOB)}
+    assert newest(of(memory, "a note"), JOB) == (memory, ["a note"])
+
+
+def test_one_of_another_case_is_refused():
+    memory = {"about": about(SimpleNamespace(sha256="b2"))}
+    with pytest.raises(CheckpointError, match=r"run/checkpoints: case_sha256 .* --fresh"):
+        newest(of(memory), JOB)
+
+
+def test_one_of_other_versions_is_taken_with_a_note():
+    told = about(JOB)
+    name = sorted(told["versions"])[0]
+    found = told | {"version": "0.0.9", "versions": told["versions"] | {name: "0.1", "gone": "1"}}
+    memory, notes = newest(of({"about": found}), JOB)
+    assert memory["about"] is found
+    assert notes == [
+        f"the checkpoint was written by restoration 0.0.9, now {told['version']}; "
+        f"{name} 0.1, now {told['versions'][name]}: last digits may differ"
+    ]
+    del found["versions"][name]
+    assert f"{name} None, now" in newest(of({"about": found}), JOB)[1][0]
+
+
+def test_a_short_wall_time_is_used(clock):
+    """Nothing is known of steps and checkpoints before the first ones."""
+    run = Run(clock, every=1000, walltime=1.0)
     for _ in range(7):
-        run.step(keep, 1.0)
-    assert run.written == [3, 6]
+        run.step(0.1)
+    Keeper(run.recorder, None, walltime=0.01).check()
 
 
-@pytest.mark.parametrize("kept", [True, False])
-def test_a_run_ends_within_its_wall_time(monkeypatch, kept):
-    run = FakeRun(monkeypatch, cost=2.0)
-    keep = Keeper(run, run if kept else None, every=1, walltime=100.0)
-    for _ in range(9 if kept else 12):
-        run.step(keep, 7.0)
-    with pytest.raises(StoppedError):
-        run.step(keep, 7.0)
-    assert run.now <= 100.0 - 7.0  # neither had the next step been too much
-    assert run.now >= 100.0 - 3 * 9.0
-    assert run.written == ([*range(1, run.steps + 1)] if kept else [])
-
-
-def test_a_wish_to_stop_is_granted_with_a_checkpoint(monkeypatch):
-    run, wanted = FakeRun(monkeypatch), []
-    keep = Keeper(run, run, every=10, wanted=lambda: bool(wanted))
-    run.step(keep, 1.0)
-    keep.check()
-    wanted.append(True)
-    with pytest.raises(StoppedError):
-        run.step(keep, 1.0)
-    assert run.written == [2]
-    with pytest.raises(StoppedError):
-        keep.check()
+def test_nobody_asks_a_run_to_stop_unless_told(clock):
+    run = Run(clock)
+    Keeper(run.recorder, None)(0, None)
