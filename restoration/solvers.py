@@ -287,8 +287,8 @@ class DirectSolver:
 
     def analysed_anew(self, workspace):
         """Let the next matrix be analysed too, for a workspace that was found before."""
-        self._workspace, self._changed = workspace, True
-        self._make()
+        self._workspace = workspace
+        self.begin_anew()
 
     def facts(self):
         """Return the numbers by which MUMPS and PETSc tell of the last factorisation."""

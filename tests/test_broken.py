@@ -85,7 +85,10 @@ from restoration.cli import main
 
 code = main(sys.argv[1:])
 used = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
-print(sum(u.ru_utime + u.ru_stime for u in used), max(u.ru_maxrss for u in used) / 1024)
+# what getrusage tells of this process is at least what its parent held when it forked
+status = dict(line.split(":", 1) for line in open("/proc/self/status"))
+peak = max(int(status["VmHWM"].split()[0]), used[1].ru_maxrss)
+print(sum(u.ru_utime + u.ru_stime for u in used), peak / 1024)
 sys.exit(code)
 """
 

@@ -266,8 +266,8 @@ class Mumps:
     [
         ([-13], TooLargeError, "does not fit into memory", []),
         ([-9, -13], TooLargeError, "does not fit into memory", [1]),
-        ([-9], SolveError, r"INFOG\(1\) = -9.*mat_mumps_icntl_14", [1, 2, 2]),
-        ([-10], SolveError, "check that the walls hold the section", []),
+        ([-9], SolveError, r"INFOG\(1\) = -9.*mat_mumps_icntl_14", [1, 2, 2, 2]),
+        ([-10], SolveError, "check that the walls hold the section", [0]),
     ],
 )
 def test_a_factorisation_that_fails_is_grown_or_told(ends, error, message, tried):
