@@ -57,17 +57,26 @@ class Keeper:
         recorder: `recorder.Recorder`, that knows all of the run.
         checkpoints: `checkpoint.Checkpoints`, or None to write none.
         every: steps between two of them, or ``auto``: whenever twenty times as long has passed as
-            one takes to write, and at marks.
+            one takes to write; in both cases at marks too.
         walltime: after which the run is to have ended, s, or None.
         wanted: tells whether the run is asked to stop.
+        passed: number of the last mark that a run which goes on had passed; None where it begins.
     """
 
-    def __init__(self, recorder, checkpoints, every="auto", walltime=None, wanted=lambda: False):
+    def __init__(
+        self,
+        recorder,
+        checkpoints,
+        every="auto",
+        walltime=None,
+        wanted=lambda: False,
+        passed=None,
+    ):
         self._recorder, self._checkpoints, self._every = recorder, checkpoints, every
         self._walltime, self._wanted = walltime, wanted
         self._began = self._last = self._written = time.monotonic()
         self._longest = self._cost = 0.0
-        self._passed, self._reached = None, 0
+        self._passed, self._reached = None, passed
 
     def __call__(self, passed, state):
         """Write a checkpoint if one is due; a task of `run.march` at rest.
@@ -75,10 +84,11 @@ class Keeper:
         Raises:
             StoppedError: the run is to stop; its checkpoint is written.
         """
-        now, ranks, self._reached = time.monotonic(), self._recorder.ranks, passed
+        now, ranks = time.monotonic(), self._recorder.ranks
+        arrived, self._reached = self._reached not in (None, passed), passed
         self._longest, self._last = max(self._longest, now - self._last), now
         stop = ranks.any(self._wanted() or self._late(now))
-        if self._checkpoints and (stop or self._due(passed, now)):
+        if self._checkpoints and (stop or self._due(passed, arrived, now)):
             self._write(passed, state)
         if stop:
             raise StoppedError("stopped on request")
@@ -103,9 +113,9 @@ class Keeper:
         left = self._walltime and self._walltime - (now - self._began)
         return left is not None and left < MARGIN * self._longest + self._cost
 
-    def _due(self, passed, now):
+    def _due(self, passed, arrived, now):
         if self._every != "auto":
-            return self._recorder.steps % self._every == 0
+            return arrived or self._recorder.steps % self._every == 0
         due = passed != self._passed or now - self._written >= SHARE * self._cost
         return self._recorder.ranks.same(due)
 

@@ -360,7 +360,9 @@ def run_job(job, progress=None, stop=None):
         recorder = _recorder(job, folder, progress, memory)
         stop.listen()
         kept = checkpoints if job.checkpoint else None
-        keeper = Keeper(recorder, kept, job.checkpoint, job.walltime, lambda: stop.wanted)
+        passed = memory and memory["passed"]
+        every, walltime = job.checkpoint, job.walltime
+        keeper = Keeper(recorder, kept, every, walltime, lambda: stop.wanted, passed)
         try:
             for note in notes:
                 recorder.say(note)
@@ -374,7 +376,7 @@ def run_job(job, progress=None, stop=None):
                 at_marks=(recorder.mark,),
                 stopping=recorder.stopping,
                 at_rest=(keeper,),
-                passed=memory and memory["passed"],
+                passed=passed,
             )
             recorder.compare()
             recorder.certify(march, keeper.check)
@@ -382,7 +384,7 @@ def run_job(job, progress=None, stop=None):
                 recorder.prove(march, keeper.check)
         except StoppedError as stopped:
             recorder.end(stopped)
-            raise StoppedError(f"stopped on request {recorder.reached()}; {_later(kept)}") from None
+            raise StoppedError(f"stopped on request {recorder.reached()}; {_later(job)}") from None
         except BaseException as error:
             try:
                 keeper.failed(error)
@@ -402,6 +404,9 @@ def _tidy(checkpoints):
     Checkpoints(failure).clear()
 
 
-def _later(checkpoints):
+def _later(job):
     """Return what becomes of a run that was stopped."""
-    return "the same command goes on from here" if checkpoints else "it begins anew"
+    if job.checkpoint:
+        return "the same command goes on from here"
+    there = any(job.folder.glob("checkpoints/step-*.h5"))
+    return "it goes on from its last checkpoint" if there else "it begins anew"

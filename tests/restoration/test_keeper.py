@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import pytest
 
 from restoration import keeper
-from restoration.errors import CaseError, CheckpointError, StoppedError
+from restoration.errors import CaseError, CheckpointError, SolveError, StoppedError
 from restoration.keeper import Keeper, about, how_often, newest, wall_time
 from restoration.ranks import ALONE
 
@@ -115,6 +115,23 @@ def test_every_few_steps(clock):
     assert [run.step() for _ in range(7)] == [False, False, True, False, False, True, False]
     assert [step for step, _ in clock.written] == [3, 6]
     assert clock.written[1][1] == {"state": "state 6", "passed": 0, "about": about(JOB)}
+
+
+def test_every_few_steps_and_at_marks(clock):
+    run, written = Run(clock, every=3), []
+    for run.passed in (0, 0, 0, 1, 1, 2):
+        written.append(run.step())
+    assert written == [False, False, True, True, False, True]
+
+
+def test_a_run_that_goes_on_and_fails_at_once_keeps_the_mark_it_had_passed(clock):
+    run = Run(clock, passed=2)
+    run.recorder.last = SimpleNamespace(time=5.0)
+    run.recorder.memory = lambda state, engine: {"engine": engine}
+    error = SolveError("failed")
+    error.memory = {"time": 5.0}
+    run.keeper.failed(error)
+    assert [memory["passed"] for _, memory in clock.written] == [2]
 
 
 def test_by_itself_one_is_written_as_often_as_it_is_worth(clock):

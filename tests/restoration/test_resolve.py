@@ -150,7 +150,7 @@ def test_resolved_names_every_default(case):
         "element": "P2-P1",
         "interfaces": "particles",
     }
-    assert entries["solver"] == {"name": "auto", "options": {}}
+    assert entries["solver"] == {"name": "auto", "options": {}, "reproducible": True}
     assert entries["rocks"]["salt"]["color"].startswith("#")
     assert entries["section"]["layers"][2]["name"] == "roof"
 
