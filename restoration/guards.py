@@ -11,7 +11,8 @@ from restoration.spaces import nodes
 from restoration.surface import STEEPEST, WORST_SHAPE
 from restoration.units import show
 
-MOST_AREA_DRIFT = 1e-6  # of the section, where no rock crosses a wall
+MOST_AREA_DRIFT = 1e-6  # of the section in a step, where no rock crosses a wall
+MOST_AREA_CHANGE = 1e-4  # the same from where the run began: that of hundreds of steps
 # Slope between two nodes of a mesh on its surface. What is steeper than `surface.STEEPEST` falls
 # from the line; the nodes follow that by least squares, and overshoot a little beside a scarp.
 STEEPEST_CELL = 2 * STEEPEST
@@ -33,11 +34,11 @@ class StepGuards:
 
     def __init__(self, scene, ranks, closed):
         self._scene, self._ranks, self._closed = scene, ranks, closed
-        self._area = self._expected = None
+        self._area = self._begun = self._expected = None
 
     def watch(self, state, arrived=0):
         """Take from a state what those after it are compared with; arguments as of `look`."""
-        self._area = self._area_of(state.grid)
+        self._area = self._begun = self._area_of(state.grid)
         self._expected = int(self._ranks.sum(np.array(len(state.particles.x)))) - arrived
 
     @staticmethod
@@ -46,11 +47,12 @@ class StepGuards:
 
     def memory(self):
         """Return what the next looks compare with."""
-        return {"area": self._area, "particles": self._expected}
+        return {"area": self._area, "begun": self._begun, "particles": self._expected}
 
     def recall(self, memory):
         """Go on comparing with what `memory` has returned."""
-        self._area, self._expected = memory["area"], memory["particles"]
+        self._area, self._begun = memory["area"], memory["begun"]
+        self._expected = memory["particles"]
 
     def look(self, state, arrived=0):
         """Raise where a state cannot be gone on from.
@@ -136,12 +138,18 @@ class StepGuards:
                 f"a cell is {1 / grid.thinnest:.1g} times as long as it is high, at most "
                 f"{1 / THINNEST:.0g} are possible; change mesh.cells or simplify the section"
             )
-        drift = self._area_of(grid) / self._area - 1
-        if self._closed and not abs(drift) <= MOST_AREA_DRIFT:
-            raise MeshError(
-                f"the section has {'won' if drift > 0 else 'lost'} {abs(drift):.1e} of its area, "
-                f"at most {MOST_AREA_DRIFT:.0e} are possible where no rock crosses a wall"
-            )
+        area = self._area_of(grid)
+        for before, since, most in (
+            (self._area, "in this step", MOST_AREA_DRIFT),
+            (self._begun, "since the run began", MOST_AREA_CHANGE),
+        ):
+            drift = area / before - 1
+            if self._closed and not abs(drift) <= most:
+                raise MeshError(
+                    f"the section has {'won' if drift > 0 else 'lost'} {abs(drift):.1e} of its "
+                    f"area {since}, at most {most:.0e} are possible where no rock crosses a wall"
+                )
+        self._area = area
         if grid.top is not None:
             self._look_at_surface(grid.top.line)
 
