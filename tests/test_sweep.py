@@ -154,7 +154,7 @@ def test_whole_ends_make_whole_numbers_all_as_often():
 def test_values_of_every_kind_reach_the_case(write):
     path = write(
         "case: case.yaml\nset: {certificate: off}\nlist:\n"
-        "  - time.marks: [0 Ma, 0.1 Ma]\n    mesh: {cells: [5, 3], element: MINI}\n"
+        "  - time.marks: [0 Ma, 0.1 Ma]\n    mesh: {cells: [40, 3], element: MINI}\n"
         "    output.arrows: true\n    time.courant: 1.0e-1\n    title: 'yes'\n"
     )
     ((run,), _) = planned(read_sweep(path))
@@ -511,6 +511,8 @@ def restore(*arguments, cwd):
         stderr=subprocess.PIPE,
         text=True,
         start_new_session=True,
+        # the tests themselves may have been started under nohup
+        preexec_fn=lambda: signal.signal(signal.SIGHUP, signal.SIG_DFL),
     )
 
 
