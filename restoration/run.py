@@ -166,6 +166,7 @@ def prepare_folder(job):
 
 def _lay_out(job):
     """Make the folders of a run, and write the case."""
+    job.folder.mkdir(parents=True, exist_ok=True)
     write_text(job.folder / "resolved.yaml", job.resolved)  # the first one: see `_hardly_begun`
     write_text(job.folder / "case.yaml", job.case_text)
     for name in ("figures", "horizons"):
