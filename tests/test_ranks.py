@@ -30,7 +30,7 @@ def without_launcher():
     return {name: text for name, text in os.environ.items() if not name.startswith(left)}
 
 
-def run(*arguments, seconds=300):
+def run(*arguments, seconds=900):
     return subprocess.run(
         command(*arguments),
         env=without_launcher(),
