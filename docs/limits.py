@@ -4,11 +4,12 @@ Each benchmark is run by the command that its block of the page begins with, kep
 with its figure, and its block written anew. With ``--page`` nothing is run.
 """
 
-import argparse
 import json
 import subprocess
 import sys
 from pathlib import Path
+
+from pages import asked, write_blocks
 
 from restoration.trade.report import table_markdown
 
@@ -104,30 +105,11 @@ def others(rows):
     ]
 
 
-def write_page():
-    """Write the blocks of the page anew, between their marks."""
-    text = PAGE.read_text(encoding="utf-8")
-    for name in NAMES:
-        if not (KEPT / f"{name}.json").is_file():
-            continue
-        begin, end = f"<!-- {name} -->", f"<!-- end of {name} -->"
-        head, rest = text.split(begin)
-        _, tail = rest.split(end)
-        text = f"{head}{begin}\n{block(name)}\n{end}{tail}"
-    PAGE.write_text(text, encoding="utf-8")
-
-
 def main():
     """Run what is asked for, and write the page."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("names", nargs="*", metavar="NAME", help=f"of {', '.join(NAMES)}")
-    parser.add_argument("--page", action="store_true", help="run nothing, write the page")
-    given = parser.parse_args()
-    if wrong := [name for name in given.names if name not in NAMES]:
-        parser.error(f"no benchmark {wrong[0]!r}; there are {', '.join(NAMES)}")
-    for name in [] if given.page else given.names or NAMES:
+    for name in asked("benchmark", NAMES, __doc__):
         measure(name)
-    write_page()
+    write_blocks(PAGE, {name: block(name) for name in NAMES if (KEPT / f"{name}.json").is_file()})
 
 
 if __name__ == "__main__":

@@ -4,11 +4,12 @@ Each is searched by the command that its block of the page begins with, kept in 
 block written anew. With ``--page`` nothing is searched.
 """
 
-import argparse
 import json
 import subprocess
 import sys
 from pathlib import Path
+
+from pages import asked, write_blocks
 
 from restoration.entries import PRESETS
 from restoration.trade.report import cost_text, error_text, table_markdown, table_of
@@ -107,29 +108,12 @@ def gave_text(trial):
     return f"{error_text(trial['error'], 'm')}, {cost_text(trial['cpu_s'])}"
 
 
-def write_page():
-    """Write the blocks of the page anew, between their marks."""
-    text = PAGE.read_text(encoding="utf-8")
-    blocks = {name: block(name) for name in SUBJECTS if kept(name)} | {"presets": presets()}
-    for name, written in blocks.items():
-        begin, end = f"<!-- {name} -->", f"<!-- end of {name} -->"
-        head, rest = text.split(begin)
-        _, tail = rest.split(end)
-        text = f"{head}{begin}\n{written}\n{end}{tail}"
-    PAGE.write_text(text, encoding="utf-8")
-
-
 def main():
     """Search what is asked for, and write the page."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("names", nargs="*", metavar="NAME", help=f"of {', '.join(SUBJECTS)}")
-    parser.add_argument("--page", action="store_true", help="search nothing, write the page")
-    given = parser.parse_args()
-    if wrong := [name for name in given.names if name not in SUBJECTS]:
-        parser.error(f"no search {wrong[0]!r}; there are {', '.join(SUBJECTS)}")
-    for name in [] if given.page else given.names or SUBJECTS:
+    for name in asked("search", SUBJECTS, __doc__):
         measure(name)
-    write_page()
+    blocks = {name: block(name) for name in SUBJECTS if kept(name)} | {"presets": presets()}
+    write_blocks(PAGE, blocks)
 
 
 if __name__ == "__main__":

@@ -17,7 +17,7 @@ class BoxRecorder(Recorder):
     """Writes the run folder of a box in three dimensions.
 
     Args:
-        job: `run.Job`.
+        job: `run_folder.Job`.
         folder: the run folder, made and empty.
         progress: `progress.Progress`, or None.
         memory: as of a `Recorder`.

@@ -228,7 +228,9 @@ def _run(options):
         return run_on_ranks(options.ranks, _without_ranks(options))
     from restoration.keeper import how_often, wall_time
     from restoration.progress import Progress
-    from restoration.run import Job, StopRequest, run_job
+    from restoration.run import run_job
+    from restoration.run_folder import Job
+    from restoration.stop_request import StopRequest
 
     checkpoint = how_often(options.checkpoint)
     walltime = None if options.walltime is None else wall_time(options.walltime)

@@ -138,7 +138,7 @@ def newest(checkpoints, job):
 
     Args:
         checkpoints: `checkpoint.Checkpoints`.
-        job: `run.Job`.
+        job: `run_folder.Job`.
 
     Returns:
         The memory, None where there is none to go on from, and a list of texts.

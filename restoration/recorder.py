@@ -84,7 +84,7 @@ class Recorder:
     """Writes the run folder of one job.
 
     Args:
-        job: `run.Job`.
+        job: `run_folder.Job`.
         folder: the run folder, made and empty.
         progress: `progress.Progress`, or None.
         engine: makes the engine of a scene.

@@ -3,28 +3,19 @@
 `march` knows no physics and no files; what is written is a task it calls.
 """
 
-import fcntl
-import hashlib
-import json
-import os
-import signal
-import tempfile
-import time
-from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
+from contextlib import ExitStack
 from math import ceil
-from pathlib import Path
 
 from restoration.checkpoint import Checkpoints
-from restoration.errors import CaseError, OutputError, SolveError, StoppedError
+from restoration.errors import CaseError, SolveError, StoppedError
 from restoration.keeper import Keeper, newest
 from restoration.launch import as_many_as_told
 from restoration.retry import stepped
+from restoration.run_folder import claim, clear, proved
+from restoration.stop_request import StopRequest
 from restoration.stopping import Stopping
 from restoration.units import show
-from restoration.writing import write_text
 
-STOPPING = signal.SIGINT, signal.SIGTERM, signal.SIGUSR1, signal.SIGHUP
 ROUNDING = 1e-9  # of a number of steps, which is a quotient of times
 MOST_STEPS = 1_000_000  # to a mark; a flow that needs more is not what the case is about
 
@@ -92,216 +83,6 @@ def march(state, engine, plan, every_step=(), at_marks=(), stopping=None, at_res
     return state
 
 
-@dataclass(frozen=True)
-class Job:
-    """A case and where its run goes.
-
-    Attributes:
-        path: the case file.
-        case_text: its text as given.
-        resolved: text of the resolved case.
-        scene: `scene.Scene`.
-        out: run folder; None for ``runs/<case>-<hash8>`` in the working folder.
-        fresh: whether an earlier run in the folder is thrown away.
-        prove: whether the restored section is moved forward again; no part of the case.
-        checkpoint: steps between two checkpoints, ``auto``, or None for none.
-        walltime: after which the run is to have ended, s; None for no matter.
-    """
-
-    path: Path
-    case_text: str
-    resolved: str
-    scene: object
-    out: Path | None = None
-    fresh: bool = False
-    prove: bool = False
-    checkpoint: int | str | None = "auto"
-    walltime: float | None = None
-
-    @property
-    def sha256(self):
-        """Hash of the resolved case: two runs of one hash answer the same question."""
-        return hashlib.sha256(self.resolved.encode()).hexdigest()
-
-    @property
-    def folder(self):
-        """Where the run goes."""
-        if self.out is not None:
-            return Path(self.out)
-        name = self.path.parent.name if self.path.stem == "case" else self.path.stem
-        return Path("runs") / f"{name or 'case'}-{self.sha256[:8]}"
-
-
-def prepare_folder(job):
-    """Make the run folder, or clear it of an earlier run of this tool that is not gone on with.
-
-    Returns:
-        The folder; None where a run of this very case has ended well in it already.
-
-    Raises:
-        CaseError: the folder holds something else.
-        OutputError: it cannot be made.
-    """
-    folder = job.folder
-    try:
-        if folder.exists() and not (folder.is_dir() and _hardly_begun(folder)):
-            earlier = _earlier(folder)
-            if earlier is None:
-                raise CaseError(f"{folder}: is not a run folder and not empty; give another --out")
-            if not job.fresh and earlier != (job.sha256, True):
-                if earlier[0] != job.sha256:
-                    raise CaseError(
-                        f"{folder}: holds the run of another case; give another --out, or --fresh "
-                        "to throw it away"
-                    )
-            elif not job.fresh:
-                return None
-            if job.fresh or not any(folder.glob("checkpoints/step-*.h5")):
-                clear(folder)
-        _lay_out(job)
-    except OSError as error:
-        raise OutputError(f"{folder}: {error.strerror}; give another --out") from error
-    return folder
-
-
-def _lay_out(job):
-    """Make the folders of a run, and write the case."""
-    job.folder.mkdir(parents=True, exist_ok=True)
-    write_text(job.folder / "resolved.yaml", job.resolved)  # the first one: see `_hardly_begun`
-    write_text(job.folder / "case.yaml", job.case_text)
-    for name in ("figures", "horizons"):
-        (job.folder / name).mkdir(exist_ok=True)
-
-
-def _hardly_begun(folder):
-    """Return whether a folder is empty, or was when a run that was cut short began in it."""
-    return {path.name for path in folder.iterdir()} <= {
-        ".resolved.yaml.tmp",
-        "resolved.yaml",
-        ".case.yaml.tmp",
-    }
-
-
-# What a run leaves in its folder, beside the case. Checkpoints first: if it is killed while these
-# files are removed nothing may go on with what is left.
-RUN_FILES = (
-    "checkpoints/step-*.h5",
-    "checkpoints/kept-*.h5",
-    "checkpoints/latest.json",
-    "run.json",
-    "diagnostics.csv",
-    "log.txt",
-    "fields*.xdmf",
-    "fields*.h5",
-    "particles*.xdmf",
-    "particles*.h5",
-    "horizons*.xdmf",
-    "horizons*.h5",
-    "figures/section-*.png",
-    "figures/strip.png",
-    "figures/there-and-back.png",
-    "figures/certificate.png",
-    "certificate.md",
-    "figures/flatness.png",
-    "failure/facts.json",
-    "failure/step-*.h5",
-    "failure/latest.json",
-    "horizons/[0-9]*-*.geojson",
-)
-
-
-def _earlier(folder):
-    """Return hash and good end of the run in a folder; None if it is no run folder."""
-    if not (folder / "resolved.yaml").is_file() or not (folder / "case.yaml").is_file():
-        return None
-    sha = hashlib.sha256((folder / "resolved.yaml").read_bytes()).hexdigest()
-    try:
-        return sha, bool(json.loads((folder / "run.json").read_text())["ended_well"])
-    except (OSError, ValueError, KeyError, TypeError):
-        return sha, False
-
-
-def _proved(folder):
-    """Return whether the run in a folder has a proof."""
-    return bool(json.loads((folder / "run.json").read_text()).get("proof"))
-
-
-def clear(folder):
-    """Remove what a run leaves, and nothing else."""
-    for pattern in RUN_FILES:
-        for path in folder.glob(pattern):
-            path.unlink()
-
-
-@contextmanager
-def locked(folder, what="run", patience=0.0):
-    """Keep other runs out of a run folder as long as this one works in it.
-
-    Args:
-        folder: pathlib.Path of it.
-        what: works in it, for the message.
-        patience: seconds to wait for one that is about to end.
-
-    Yields:
-        The lock, an open file: a child that inherits it keeps the folder as long as it lives.
-
-    Raises:
-        CaseError: another run is at work in it.
-    """
-    name = hashlib.sha256(os.fsencode(os.path.realpath(folder))).hexdigest()[:16]
-    path = Path(tempfile.gettempdir()) / f"restore-{os.getuid()}-{name}.lock"
-    limit = time.monotonic() + patience
-    # where all may write, a link of this name would lead to a file of somebody else
-    descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC, 0o600)
-    with os.fdopen(descriptor, "w") as lock:
-        while True:
-            try:
-                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-                break
-            except BlockingIOError:
-                if time.monotonic() >= limit:
-                    raise CaseError(
-                        f"{folder}: another {what} is at work in it; give another --out"
-                    ) from None
-            time.sleep(0.05)
-        yield lock
-
-
-class StopRequest:
-    """Turns Ctrl-C, SIGTERM, SIGUSR1 and SIGHUP into a wish that is granted after the step.
-
-    What is ignored already stays so: under nohup a run outlives its terminal. A second Ctrl-C ends
-    at once. Programs that start ranks hand SIGUSR1 on to them, not the others.
-    """
-
-    def __init__(self):
-        self.wanted = False
-        self._before = {}
-
-    def __enter__(self):
-        if self._before:
-            return self
-        heard = [s for s in STOPPING if signal.getsignal(s) != signal.SIG_IGN or s != signal.SIGHUP]
-        self._before = {s: signal.signal(s, self._ask) for s in heard}
-        return self
-
-    def listen(self):
-        """Hear again what PETSc, once it is loaded, has taken; a reader who goes ends no run."""
-        for number in self._before:
-            signal.signal(number, self._ask)
-        signal.signal(signal.SIGPIPE, signal.SIG_IGN)
-
-    def __exit__(self, *_):
-        for number, handler in self._before.items():
-            signal.signal(number, handler)
-        self._before = {}
-
-    def _ask(self, number, _frame):
-        if self.wanted and number == signal.SIGINT:
-            raise KeyboardInterrupt
-        self.wanted = True
-
-
 def _recorder(job, folder, progress, memory):
     """Return what writes the run folder; it loads dolfinx, which only a run needs."""
     if job.scene.dim == 3:
@@ -346,10 +127,9 @@ def run_job(job, progress=None, stop=None):
             raise StoppedError("stopped on request")
 
     with stop or StopRequest() as stop, ExitStack() as locks:
-        ranks.alone(lambda: locks.enter_context(locked(job.folder)))
-        folder = ranks.same(ranks.alone(prepare_folder, job))
+        folder = ranks.same(ranks.alone(claim, job, locks))
         if folder is None:
-            if job.prove and not ranks.same(ranks.alone(_proved, job.folder)):
+            if job.prove and not ranks.same(ranks.alone(proved, job.folder)):
                 raise CaseError(
                     f"{job.folder}: holds this very run, without a proof; --fresh --prove runs it "
                     "again with one"
@@ -369,20 +149,7 @@ def run_job(job, progress=None, stop=None):
                 recorder.say(note)
             recorder.begin()
             check()
-            march(
-                recorder.start(),
-                recorder.engine,
-                job.scene.time,
-                every_step=(recorder.step,),
-                at_marks=(recorder.mark,),
-                stopping=recorder.stopping,
-                at_rest=(keeper,),
-                passed=passed,
-            )
-            recorder.compare()
-            recorder.certify(march, keeper.check)
-            if job.prove:
-                recorder.prove(march, keeper.check)
+            _carry_out(job, recorder, keeper, passed)
         except StoppedError as stopped:
             recorder.end(stopped)
             raise StoppedError(f"stopped on request {recorder.reached()}; {_later(job)}") from None
@@ -395,6 +162,24 @@ def run_job(job, progress=None, stop=None):
         record = recorder.end()
         ranks.alone(_tidy, checkpoints)
         return record, folder
+
+
+def _carry_out(job, recorder, keeper, passed):
+    """March to the last mark, then compare, certify and prove what was found."""
+    march(
+        recorder.start(),
+        recorder.engine,
+        job.scene.time,
+        every_step=(recorder.step,),
+        at_marks=(recorder.mark,),
+        stopping=recorder.stopping,
+        at_rest=(keeper,),
+        passed=passed,
+    )
+    recorder.compare()
+    recorder.certify(march, keeper.check)
+    if job.prove:
+        recorder.prove(march, keeper.check)
 
 
 def _tidy(checkpoints):

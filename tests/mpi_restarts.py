@@ -14,7 +14,8 @@ from restoration import recorder
 from restoration.environment import use_jit_cache
 from restoration.errors import StoppedError
 from restoration.ranks import world
-from restoration.run import Job, run_job
+from restoration.run import run_job
+from restoration.run_folder import Job
 from restoration.saved import read_particles
 from tests.mpi_runs import AWAY, SCENES
 

@@ -25,7 +25,8 @@ from restoration.errors import (
 )
 from restoration.grid import Grid
 from restoration.particles import OUTSIDE
-from restoration.run import Job, march, run_job
+from restoration.run import march, run_job
+from restoration.run_folder import Job
 from restoration.scene import OutputPlan, SolverPlan, TimePlan
 from tests.restoration.conftest import HEIGHT, MYR, diapir_scene
 from tests.test_mpi import ROOT, on_ranks

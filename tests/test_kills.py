@@ -21,7 +21,8 @@ import pytest
 from restoration import recorder
 from restoration.checkpoint import Checkpoints
 from restoration.errors import OutputError, RestorationError, StoppedError
-from restoration.run import Job, run_job
+from restoration.run import run_job
+from restoration.run_folder import Job
 from restoration.scene import MeshPlan, StopPlan, TimePlan
 from restoration.writing import write_text
 from tests.forked import Forked

@@ -18,7 +18,7 @@ import pytest
 
 from restoration.cli import main
 from restoration.errors import CaseError, OutputError
-from restoration.run import locked
+from restoration.run_folder import locked
 from restoration.sweep.children import Ended, error_line, run_children
 from restoration.sweep.command import PATIENCE, sweep
 from restoration.sweep.file import read_sweep

@@ -101,7 +101,7 @@ def run_children(jobs, command, workers, stop, held=()):
         jobs: what to run, in this order.
         command: function of a job that returns the command, a list of texts.
         workers: number of children at a time.
-        stop: `run.StopRequest`, or any with an attribute ``wanted``.
+        stop: `stop_request.StopRequest`, or any with an attribute ``wanted``.
         held: descriptors of files that children keep open.
     """
     waiting, alive, asked = deque(jobs), {}, False

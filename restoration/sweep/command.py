@@ -8,7 +8,8 @@ from pathlib import Path
 
 from restoration.errors import CaseError, StoppedError
 from restoration.launch import cores
-from restoration.run import StopRequest, locked
+from restoration.run_folder import locked
+from restoration.stop_request import StopRequest
 from restoration.sweep.children import run_children
 from restoration.sweep.file import read_sweep
 from restoration.sweep.runs import folders_of_others, planned
@@ -86,32 +87,7 @@ def sweep(
         answer(_rows(runs, out).values())
         return INCOMPLETE if any(run.faults for run in runs) else 0
     with StopRequest() as stop, locked(out, "sweep", PATIENCE) as lock:
-        rows = _rows(runs, out)
-        with disk_faults(out):
-            out.mkdir(parents=True, exist_ok=True)
-        write_text(out / GIVEN, found.text)
-        write_table(out, found, rows.values())
-        if others := folders_of_others(out, runs):
-            tell(f"note: of no run of this sweep any more: {listed(others, last='and')}")
-        todo = [run for run in runs if rows[run.number].state not in ("done", "refused")]
-        workers = min(workers or cores(), max(len(todo), 1))
-        tell(f"{counts_text(rows.values())}; {len(todo)} to run, {workers} at a time")
-        warned = _warn_of_memory(workers, [run.memory_mb for run in todo])
-
-        def command(run):
-            flags = [part for text in run.sets for part in ("--set", text)]
-            flags += ["--allow-outside"] if outside else []
-            start = [sys.executable, "-P", "-m", "restoration.cli", "run", str(found.case)]
-            return [*start, "--quiet", "--out", str(out / run.folder), *flags]
-
-        # closed at once where the table cannot be written, so that no child is left behind
-        with closing(run_children(todo, command, workers, stop, (lock.fileno(),))) as children:
-            for number, (run, ended) in enumerate(children, start=1):
-                row = rows[run.number] = row_of(run, out, ended)
-                write_table(out, found, rows.values())
-                tell(f"[{number}/{len(todo)}] {run.folder}: {_said(row)}")
-                if not warned and row.numbers:
-                    warned = _warn_of_memory(workers, [row.numbers["peak_rss_mb"] or 0])
+        rows = _swept(found, runs, out, workers, outside, stop, lock, tell)
         code = answer(rows.values())
     if stop.wanted:
         raise StoppedError(
@@ -119,6 +95,48 @@ def sweep(
             "the same command goes on"
         )
     return code
+
+
+def _swept(found, runs, out, workers, outside, stop, lock, tell):
+    """Run what is missing, keep the table, and return the rows by number of the run.
+
+    Args:
+        found: the sweep, as `file.read_sweep` gives it.
+        runs: all of its runs.
+        out: folder of the sweep.
+        workers: runs at a time; None for one on each core.
+        outside: whether runs may name files outside their folders.
+        stop: `stop_request.StopRequest`.
+        lock: open file that keeps the folder; children inherit it.
+        tell: function that tells the user a line.
+    """
+    rows = _rows(runs, out)
+    with disk_faults(out):
+        out.mkdir(parents=True, exist_ok=True)
+    write_text(out / GIVEN, found.text)
+    write_table(out, found, rows.values())
+    if others := folders_of_others(out, runs):
+        tell(f"note: of no run of this sweep any more: {listed(others, last='and')}")
+    todo = [run for run in runs if rows[run.number].state not in ("done", "refused")]
+    workers = min(workers or cores(), max(len(todo), 1))
+    tell(f"{counts_text(rows.values())}; {len(todo)} to run, {workers} at a time")
+    warned = _warn_of_memory(workers, [run.memory_mb for run in todo])
+
+    def command(run):
+        flags = [part for text in run.sets for part in ("--set", text)]
+        flags += ["--allow-outside"] if outside else []
+        start = [sys.executable, "-P", "-m", "restoration.cli", "run", str(found.case)]
+        return [*start, "--quiet", "--out", str(out / run.folder), *flags]
+
+    # closed at once where the table cannot be written, so that no child is left behind
+    with closing(run_children(todo, command, workers, stop, (lock.fileno(),))) as children:
+        for number, (run, ended) in enumerate(children, start=1):
+            row = rows[run.number] = row_of(run, out, ended)
+            write_table(out, found, rows.values())
+            tell(f"[{number}/{len(todo)}] {run.folder}: {_said(row)}")
+            if not warned and row.numbers:
+                warned = _warn_of_memory(workers, [row.numbers["peak_rss_mb"] or 0])
+    return rows
 
 
 def _only_a_sweep(out):

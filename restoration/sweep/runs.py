@@ -9,7 +9,7 @@ from pathlib import Path
 from restoration.case import in_order
 from restoration.errors import CaseError
 from restoration.resolve import load
-from restoration.run import Job
+from restoration.run_folder import Job
 from restoration.sweep.file import Variation, assignment
 from restoration.words import quoted
 

@@ -10,7 +10,8 @@ from restoration.diagnostics import line_distances, there_and_back, volume_by_ro
 from restoration.engine import StokesEngine
 from restoration.errors import MeshError
 from restoration.lines import as_drawn, points_of, with_points
-from restoration.run import Job, march, run_job
+from restoration.run import march, run_job
+from restoration.run_folder import Job
 from restoration.scene import Line, MeshPlan, TimePlan
 from tests.restoration.conftest import HEIGHT, MYR, WIDTH, diapir_scene
 

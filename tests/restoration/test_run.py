@@ -1,4 +1,5 @@
 import csv
+import errno
 import itertools
 import json
 import os
@@ -11,9 +12,11 @@ import pytest
 
 from restoration.errors import CaseError, MeshError, OutputError, SolveError, StoppedError
 from restoration.output import RECORD
-from restoration.run import MOST_STEPS, Job, StopRequest, locked, march, next_time, run_job
+from restoration.run import MOST_STEPS, march, next_time, run_job
+from restoration.run_folder import LOCK, Job, claimed, locked
 from restoration.saved import read_particles
 from restoration.scene import OutputPlan, TimePlan, Wall
+from restoration.stop_request import StopRequest
 from tests.restoration.conftest import MYR, PlainEngine, diapir_scene
 
 
@@ -279,6 +282,29 @@ def test_a_folder_in_use_is_known_by_other_names(tmp_path, other):
     refused = pytest.raises(CaseError, match="another run is at work")
     with locked(tmp_path / "run"), refused, locked(tmp_path / other):
         pass
+
+
+def test_a_run_of_another_machine_keeps_its_folder(tmp_path, monkeypatch):
+    """Another machine has a temporary folder of its own, but shares the disk of the runs."""
+    scene = diapir_scene(cells=(4, 4), marks=(0, -0.01))
+    run_job(job(tmp_path, scene))
+    (tmp_path / "elsewhere").mkdir()
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path / "elsewhere"))
+    with claimed(tmp_path / "run"):
+        before = sorted(tmp_path.rglob("*"))
+        with pytest.raises(CaseError, match="a run of another machine is at work"):
+            run_job(job(tmp_path, scene, fresh=True))
+    assert sorted(tmp_path.rglob("*")) >= before
+    assert run_job(job(tmp_path, scene, fresh=True))[0]["ended_well"]
+
+
+def test_a_disk_without_locks_keeps_nobody_out(tmp_path, monkeypatch):
+    def no_locks(*_):
+        raise OSError(errno.ENOLCK, "No locks available")
+
+    monkeypatch.setattr("fcntl.flock", no_locks)
+    with claimed(tmp_path):
+        assert (tmp_path / LOCK).exists()
 
 
 def test_folder_name_follows_the_case():

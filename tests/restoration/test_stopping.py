@@ -13,7 +13,8 @@ from restoration.errors import CaseError
 from restoration.layered import Layer, growth_matrix
 from restoration.lines import begin
 from restoration.resolve import load
-from restoration.run import Job, march, run_job
+from restoration.run import march, run_job
+from restoration.run_folder import Job
 from restoration.scene import Line, Outline, StopPlan, TimePlan, Wall
 from restoration.state import State
 from restoration.stopping import Stopping, depth, flatness, relief

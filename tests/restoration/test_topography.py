@@ -10,7 +10,8 @@ from restoration.bench.boxes import Solved, unit_square
 from restoration.bench.reliefs import ALONG, _density, _one, load_stress
 from restoration.engine import StokesEngine
 from restoration.layered import Layer, growth_matrix
-from restoration.run import Job, run_job
+from restoration.run import run_job
+from restoration.run_folder import Job
 from restoration.scene import MeshPlan, Outline, Transfer, Wall
 from restoration.topography import SurfaceStress, dynamic_topography
 from tests.restoration.conftest import HEIGHT, WIDTH, diapir_scene
