@@ -58,7 +58,7 @@ MOST_FALLEN = 1e-3  # of the section, that may fall from a surface in a step
 TRIAL = 0.5  # of the relaxation time of the fastest mode: a step that tells a rate
 SAFETY = 0.9  # of the step that would be off by just what is tolerated
 MOST_SHRUNK, MOST_GROWN, MOST_TRIALS = 0.2, 2.0, 12  # of steps by their error
-PARTS = ("setup", "mesh", "fields", "assemble", "solve", "surface", "advect")
+PARTS = ("setup", "mesh", "fields", "assemble", "solve", "surface", "advect", "guards")
 
 
 class StokesEngine(Remembering):
@@ -204,11 +204,13 @@ class StokesEngine(Remembering):
 
     def guard(self, state):
         """Raise where a state with its flow cannot be gone on from, see `StepGuards.look`."""
-        self._guards.look(state, self._arrived)
+        with self.timed("guards"):
+            self._guards.look(state, self._arrived)
 
     def watch(self, state):
         """Take from a state with its flow what `guard` compares those after it with."""
-        self._guards.watch(state, self._arrived)
+        with self.timed("guards"):
+            self._guards.watch(state, self._arrived)
 
     @property
     def _arrived(self):

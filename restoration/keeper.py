@@ -125,6 +125,7 @@ class Keeper:
         recorder.ranks.alone(self._checkpoints.write, recorder.steps, memory)
         self._passed, self._written = passed, time.monotonic()
         self._cost = self._written - begin
+        recorder.checkpoints_s += self._cost
         self._last = self._written  # what a checkpoint takes is no part of the next step
 
 

@@ -75,7 +75,17 @@ COLUMNS = (
     "wall_s",
 )
 # What a recorder counts, and what of its record is made on the way.
-COUNTED = "steps", "elapsed", "_output_s", "_volumes", "_framed", "_told", "_load", "_counts"
+COUNTED = (
+    "steps",
+    "elapsed",
+    "_output_s",
+    "checkpoints_s",
+    "_volumes",
+    "_framed",
+    "_told",
+    "_load",
+    "_counts",
+)
 CARRIED = "dynamic_topography_m", "resumed_after_steps"
 BUG = 1  # exit code of what is not a RestorationError
 
@@ -104,7 +114,7 @@ class Recorder:
         self._make_engine = engine
         self.engine, self.stopping = None, Stopping(self.scene.time)
         self.steps, self.elapsed = 0, 0.0
-        self._began, self._output_s = time.perf_counter(), 0.0
+        self._began, self._output_s, self.checkpoints_s = time.perf_counter(), 0.0, 0.0
         self._marks, self._volumes = [], []  # states at the marks passed, and area by rock
         self._kept = []  # states that checkpoints refer to, and their names
         self._last = None
@@ -504,6 +514,7 @@ class Recorder:
             work = self.engine.work()
             work["wall_by_part_s"] |= {
                 "output": round(self._output_s, 3),
+                "checkpoints": round(self.checkpoints_s, 3),
                 "certificate": self._certificate_s,
             }
             self.record |= work

@@ -52,6 +52,10 @@ class Remembering:
         Returns:
             A dict of dicts, lists, numbers, texts and arrays; the same on all ranks.
         """
+        with self.timed("guards"):
+            return self._memory(state, gather)
+
+    def _memory(self, state, gather):
         flow = state.flow
         return self.memory_of_rock(state, gather) | {
             "flow": {"u": flow.u, "p": flow.p, "residual": flow.residual},
@@ -91,7 +95,7 @@ class Remembering:
             setattr(self, name, value)
         self.left, self.entered = dict(memory["left"]), dict(memory["entered"])
         self._folded, self.notes = set(memory["folded"]), list(memory["notes"])
-        self.seconds, self._last_flow = dict(memory["seconds"]), flow
+        self.seconds, self._last_flow = self.seconds | memory["seconds"], flow
         state = self.rock_of(memory)
         particles = self.sharing.dealt(state.particles, self.grid.index)
         return replace(state, particles=particles, flow=flow, grid=self.grid)
