@@ -104,6 +104,7 @@ class Recorder:
         engine: the engine, after `begin`.
         record: what run.json will hold.
         stopping: `Stopping` of the march.
+        checkpoints_s: wall time that checkpoints took, s.
     """
 
     def __init__(self, job, folder, progress=None, memory=None, engine=StokesEngine):

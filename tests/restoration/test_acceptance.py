@@ -5,6 +5,8 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import ufl
+from dolfinx import fem
 
 from meshes.box import box_mesh, section_mesh
 from restoration import acceptance
@@ -147,6 +149,34 @@ def test_nothing_that_moves_and_ought_to_swell_is_told():
     divergence, u, _ = nodes_and(plane(), "P2-P1", np.zeros_like)
     assert divergence(u, rate=1.0) > 0.5
     assert not np.isfinite(divergence(u + np.nan))
+
+
+def at_wall(x):
+    """Motion of the middles of the edges on the left wall, of which only cells there know."""
+    u = np.zeros_like(x)
+    squares = 4 * x[:, 1] / SIDE
+    u[(x[:, 0] < 1e-9) & (np.abs(squares % 1 - 0.5) < 1e-9), 0] = 1.0
+    return u
+
+
+def test_what_only_cells_at_a_wall_make_is_not_looked_at():
+    divergence, u, _ = nodes_and(plane(), "P2-P1dg", at_wall)
+    assert divergence(u) < 1e-12
+    assert u.any()
+
+
+def test_of_hats_those_at_a_wall_are_not_looked_at():
+    section, spaces = (found := plane()), Spaces(found, "P2-P1")
+    divergence, u, rms = nodes_and(section, "P2-P1", at_wall)
+    function, q = fem.Function(spaces.V), ufl.TestFunction(spaces.H)
+    function.x.array[:] = u.ravel()
+    off = fem.petsc.assemble_vector(fem.form(q * ufl.div(function) * spaces.dx)).array
+    weights = fem.petsc.assemble_vector(fem.form(q * spaces.dx)).array
+    x = spaces.H.tabulate_dof_coordinates()[:, :2]
+    inner = ((x > 1e-9) & (x < SIDE - 1e-9)).all(axis=1)
+    assert 0 < inner.sum() < len(inner)
+    wanted = np.sqrt((off**2 / weights)[inner].sum() / weights[inner].sum())
+    assert divergence(u) == pytest.approx(SIDE * wanted / rms, rel=1e-10)
 
 
 class Changed:

@@ -16,7 +16,7 @@ class Engine:
     def __init__(self, succeeds=np.inf, error=None, by="advance"):
         self.succeeds, self.error, self.by = succeeds, error or MeshError("a cell; or so"), by
         self.longest, self.retried, self.notes = np.inf, 3, ["before"]
-        self.tried, self.state = [], None
+        self.tried, self.state, self.asked = [], None, []
 
     def _fail(self, by, state):
         if by == self.by and abs(state.time - state.before) > self.succeeds:
@@ -40,6 +40,7 @@ class Engine:
         self._fail("guard", state)
 
     def memory(self, state, gather=True):
+        self.asked.append(gather)
         return {"time": state.time, "gathered": gather}
 
     def gathered(self, memory):
@@ -108,6 +109,7 @@ def test_where_all_fail_the_error_tells_and_has_the_state_before(error):
     assert caught.value.memory == {"time": 5.0, "gathered": True}
     assert caught.value.facts == {"tried": 9}
     assert len(engine.tried) == 9
+    assert engine.asked == [False]  # no rank sends its particles before a step has failed for good
 
 
 def test_what_does_not_fit_into_memory_is_not_tried_again():
