@@ -66,6 +66,9 @@ class BoxRecorder(Recorder):
     def _note_topography(self, state):
         """Note nothing: dynamic topography is found along lines only."""
 
+    def _lines_path(self, _):
+        """Return none: sheets are in a series."""
+
     def _picture(self, name, state, before):
         """Draw a cut and a map at a mark."""
         shots = self._shots([state])

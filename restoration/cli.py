@@ -226,14 +226,14 @@ def _run(options):
         )
     if options.ranks is not None and options.ranks != 1:
         return run_on_ranks(options.ranks, _without_ranks(options))
-    from restoration.keeper import how_often, wall_time
+    from restoration.keeper import age, how_often, wall_time
     from restoration.progress import Progress
     from restoration.run import run_job
     from restoration.run_folder import Job
     from restoration.stop_request import StopRequest
 
     checkpoint = how_often(options.checkpoint)
-    walltime = None if options.walltime is None else wall_time(options.walltime)
+    walltime = None if options.walltime is None else wall_time(options.walltime) - age()
 
     with StopRequest() as stop:  # already here: a Ctrl-C while a library loads would break it
         loaded = _load(options)

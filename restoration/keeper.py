@@ -1,7 +1,9 @@
 """When a run writes checkpoints, and when it stops by itself so as to be gone on with later."""
 
+import os
 import re
 import time
+from pathlib import Path
 
 from restoration import __version__
 from restoration.environment import versions
@@ -37,6 +39,12 @@ def wall_time(text):
     return float(found)
 
 
+def age():
+    """Return how long this process has been there, s: the loading of libraries counts too."""
+    fields = Path("/proc/self/stat").read_text().rpartition(")")[2].split()  # from the third on
+    return time.clock_gettime(time.CLOCK_BOOTTIME) - int(fields[19]) / os.sysconf("SC_CLK_TCK")
+
+
 def how_often(text):
     """Return what ``--checkpoint`` asks for: a number of steps, ``auto``, or None for ``off``.
 
@@ -58,9 +66,10 @@ class Keeper:
         checkpoints: `checkpoint.Checkpoints`, or None to write none.
         every: steps between two of them, or ``auto``: whenever twenty times as long has passed as
             one takes to write; in both cases at marks too.
-        walltime: after which the run is to have ended, s, or None.
+        walltime: after which the run is to have ended, s from ``began`` on, or None.
         wanted: tells whether the run is asked to stop.
         passed: number of the last mark that a run which goes on had passed; None where it begins.
+        began: when the run began, of time.monotonic; None for now.
     """
 
     def __init__(
@@ -71,10 +80,12 @@ class Keeper:
         walltime=None,
         wanted=lambda: False,
         passed=None,
+        began=None,
     ):
         self._recorder, self._checkpoints, self._every = recorder, checkpoints, every
         self._walltime, self._wanted = walltime, wanted
-        self._began = self._last = self._written = time.monotonic()
+        self._last = self._written = time.monotonic()
+        self._began = self._last if began is None else began
         self._longest = self._cost = 0.0
         self._passed, self._reached = None, passed
 
@@ -110,8 +121,10 @@ class Keeper:
             raise StoppedError("stopped on request")
 
     def _late(self, now):
-        left = self._walltime and self._walltime - (now - self._began)
-        return left is not None and left < MARGIN * self._longest + self._cost
+        if self._walltime is None:
+            return False
+        left = self._walltime - (now - self._began)
+        return left < MARGIN * self._longest + self._cost
 
     def _due(self, passed, arrived, now):
         if self._every != "auto":

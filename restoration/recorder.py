@@ -181,6 +181,7 @@ class Recorder:
             self._follower.recall(memory["follower"], states.get)
         self._last = self.engine.recalled(memory["engine"])
         self.say(f"going on {self.reached()}")
+        self._mend()
         return self._last
 
     @property
@@ -273,12 +274,28 @@ class Recorder:
         self._note_topography(state)
         self._marks.append(replace(state, flow=None, grid=None))  # large, and not compared
         self._frame(state)
-        myr = state.time / MYR
-        ages = counts_back(self.scene)
-        name = f"{number}-{abs(myr):.3f}Ma" if ages else f"{number}-{myr:.3f}Myr"
-        self._picture(name, state, before)
+        self._picture(self._name_at(number, state.time), state, before)
         self.say(f"mark {number}: {time_label(self.scene, state.time)} after {self.steps} steps")
         self._output_s += time.perf_counter() - begin
+
+    def _name_at(self, number, t):
+        """Return the name that the files of a mark have in common."""
+        myr = t / MYR
+        return f"{number}-{abs(myr):.3f}Ma" if counts_back(self.scene) else f"{number}-{myr:.3f}Myr"
+
+    def _mend(self):
+        """Make anew what a mark has left in the folder and is gone since."""
+        before = None
+        for number, state in enumerate(self._marks):
+            name = self._name_at(number, state.time)
+            made = self.folder / "figures" / f"section-{name}.png", self._lines_path(name)
+            if not self.ranks.same(all(path is None or path.is_file() for path in made)):
+                self._picture(name, state, before)
+                self.say(f"note: horizons or picture of mark {number} were gone; made anew")
+            before = state.time
+
+    def _lines_path(self, name):
+        return self.folder / "horizons" / f"{name}.geojson"
 
     def _flatness(self, state):
         return flatness_of(state.lines, self.stopping.plan)
@@ -286,8 +303,7 @@ class Recorder:
     def _picture(self, name, state, before):
         """Write the lines and a picture at a mark."""
         about = {"mark": int(name.partition("-")[0]), "model_time_Myr": state.time / MYR}
-        path = self.folder / "horizons" / f"{name}.geojson"
-        self.ranks.alone(write_lines, path, state.lines, about)
+        self.ranks.alone(write_lines, self._lines_path(name), state.lines, about)
         self.ranks.alone(
             draw_section,
             self.folder / "figures" / f"section-{name}.png",
@@ -296,7 +312,7 @@ class Recorder:
             state.particles.x,
             state.particles.unit,
             state.lines,
-            _arrows(state) if self.scene.output.arrows else None,
+            _arrows(state) if self.scene.output.arrows and state.flow else None,
             label=time_text(self.scene, state.time, before),
         )
 

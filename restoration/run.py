@@ -3,6 +3,7 @@
 `march` knows no physics and no files; what is written is a task it calls.
 """
 
+import time
 from contextlib import ExitStack
 from math import ceil
 
@@ -117,6 +118,7 @@ def run_job(job, progress=None, stop=None):
     Raises:
         RestorationError: with the exit code; the folder then holds what was reached.
     """
+    began = time.monotonic()
     from restoration.ranks import world  # loads MPI: only a run needs it
 
     ranks = world()
@@ -143,7 +145,7 @@ def run_job(job, progress=None, stop=None):
         kept = checkpoints if job.checkpoint else None
         passed = memory and memory["passed"]
         every, walltime = job.checkpoint, job.walltime
-        keeper = Keeper(recorder, kept, every, walltime, lambda: stop.wanted, passed)
+        keeper = Keeper(recorder, kept, every, walltime, lambda: stop.wanted, passed, began)
         try:
             for note in notes:
                 recorder.say(note)

@@ -30,7 +30,7 @@ class Job:
         fresh: whether an earlier run in the folder is thrown away.
         prove: whether the restored section is moved forward again; no part of the case.
         checkpoint: steps between two checkpoints, ``auto``, or None for none.
-        walltime: after which the run is to have ended, s; None for no matter.
+        walltime: from now on, after which the run is to have ended, s; None for no matter.
     """
 
     path: Path

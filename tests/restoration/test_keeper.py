@@ -1,5 +1,8 @@
 """When checkpoints are due and when a run stops, by a clock that the tests hold."""
 
+import subprocess
+import sys
+import time
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -98,6 +101,7 @@ class Run:
         self.recorder = SimpleNamespace(
             ranks=ALONE, steps=0, job=JOB, memory=lambda state, _: {"state": state}
         )
+        self.recorder.checkpoints_s = 0.0
         kept = clock if checkpoints else None
         self.keeper = Keeper(self.recorder, kept, wanted=lambda: self.asked, **options)
 
@@ -254,6 +258,27 @@ def test_a_short_wall_time_is_used(clock):
     for _ in range(7):
         run.step(0.1)
     Keeper(run.recorder, None, walltime=0.01).check()
+
+
+def test_the_loading_of_libraries_counts(clock):
+    """A run that has begun nine seconds ago has one left of ten."""
+    run = Run(clock, every=1000, walltime=10.0, began=clock.now - 9.0)
+    with pytest.raises(StoppedError):
+        run.step(2.0)
+    assert len(clock.written) == 1
+
+
+@pytest.mark.parametrize("gone", [0.0, -5.0])
+def test_a_wall_time_that_is_over_already_ends_the_run(clock, gone):
+    with pytest.raises(StoppedError):
+        Run(clock, walltime=gone).step()
+
+
+def test_the_age_of_a_process_is_from_its_start():
+    begin = time.monotonic()
+    command = "import time; time.sleep(0.5); from restoration.keeper import age; print(age())"
+    told = subprocess.run([sys.executable, "-c", command], capture_output=True, check=True)
+    assert 0.5 <= float(told.stdout) <= time.monotonic() - begin + 0.02  # of a clock that ticks
 
 
 def test_nobody_asks_a_run_to_stop_unless_told(clock):

@@ -202,6 +202,37 @@ def test_a_step_too_short_to_arrive_is_refused():
         march(FakeState(0), FakeEngine(1e-30), TimePlan((0, 10), "rk4", 1.0, 4))
 
 
+@pytest.mark.parametrize("arrows", [False, True])
+def test_what_marks_have_left_and_is_gone_is_made_anew(tmp_path, monkeypatch, arrows):
+    from restoration import recorder
+
+    plan = OutputPlan("marks", ("velocity",), True, arrows, 1.0)
+    scene = diapir_scene(cells=(4, 4), marks=(0, 0.1, 0), output=plan)
+    whole = job(tmp_path, scene, out=tmp_path / "whole")
+    run_job(whole)
+    row = recorder.Diagnostics.write
+
+    def interrupt(self, **values):
+        row(self, **values)
+        if len(list(tmp_path.glob("run/horizons/*.geojson"))) == 2:  # on the way back
+            os.kill(os.getpid(), signal.SIGINT)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(recorder.Diagnostics, "write", interrupt)
+        with pytest.raises(StoppedError):
+            run_job(job(tmp_path, scene))
+    (lines,) = tmp_path.glob("run/horizons/0-*.geojson")
+    (picture,) = tmp_path.glob("run/figures/section-1-*.png")
+    lines.unlink()
+    picture.unlink()
+    run_job(job(tmp_path, scene))
+    assert picture.is_file()
+    for path in whole.folder.glob("horizons/*.geojson"):
+        assert (tmp_path / "run/horizons" / path.name).read_bytes() == path.read_bytes()
+    log = (tmp_path / "run" / "log.txt").read_text()
+    assert log.count("were gone; made anew") == 2
+
+
 def test_files_of_the_user_survive_a_fresh_run(tmp_path):
     run_job(job(tmp_path))
     kept = [tmp_path / "run" / name for name in ("figures/mine.svg", "horizons/mine.geojson")]
@@ -291,10 +322,10 @@ def test_a_run_of_another_machine_keeps_its_folder(tmp_path, monkeypatch):
     (tmp_path / "elsewhere").mkdir()
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path / "elsewhere"))
     with claimed(tmp_path / "run"):
-        before = sorted(tmp_path.rglob("*"))
+        before = set(tmp_path.rglob("*"))
         with pytest.raises(CaseError, match="a run of another machine is at work"):
             run_job(job(tmp_path, scene, fresh=True))
-    assert sorted(tmp_path.rglob("*")) >= before
+    assert set(tmp_path.rglob("*")) >= before
     assert run_job(job(tmp_path, scene, fresh=True))[0]["ended_well"]
 
 
