@@ -77,9 +77,10 @@ def run_on_ranks(count, arguments):
     environment = child_environment()
     if os.getuid() == 0:  # in a container there may be nobody else; OpenMPI asks twice
         environment |= {"OMPI_ALLOW_RUN_AS_ROOT": "1", "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM": "1"}
-    command = [mpirun, "--quiet", "--oversubscribe", "-n", str(count), sys.executable]
+    # Bound to cores, the ranks of two runs would share the first ones and leave the others idle.
+    command = [mpirun, "--quiet", "--oversubscribe", "--bind-to", "none", "-n", str(count)]
     # -P: what lies beside the case is no module of ours
-    command += ["-P", "-m", "restoration.cli", *arguments]
+    command += [sys.executable, "-P", "-m", "restoration.cli", *arguments]
     asked = []
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGUSR1):
         signal.signal(number, lambda number, _frame: asked.append(number))

@@ -13,6 +13,7 @@ ROOT = Path(__file__).parents[1]
 # Root may be all there is in a container; OpenMPI asks twice.
 SETTINGS = {"OMPI_ALLOW_RUN_AS_ROOT": "1", "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM": "1"}
 SETTINGS |= {"OMP_NUM_THREADS": "1", "NUMBA_NUM_THREADS": "1", "PYTHONPATH": str(ROOT)}
+SETTINGS["OMPI_MCA_mpi_yield_when_idle"] = "1"
 
 
 def on_ranks(script, ranks, *arguments):
@@ -20,8 +21,10 @@ def on_ranks(script, ranks, *arguments):
     # What MPI left for the children of the test runner would make mpirun one of them.
     left = ("OMPI_", "ORTE_", "PMIX_")
     environment = {name: text for name, text in os.environ.items() if not name.startswith(left)}
-    # Ranks wait by spinning: other tests, which watch the clock, go first.
-    launch = ["nice", "-n", "19", "mpirun", "--oversubscribe", "-n", str(ranks)]
+    # Ranks wait by spinning: other tests, which watch the clock, go first; bound to the core of
+    # one of these a rank would hardly ever have its turn.
+    launch = ["nice", "-n", "19", "mpirun", "--oversubscribe", "--bind-to", "none"]
+    launch += ["-n", str(ranks)]
     done = subprocess.run(
         [*launch, sys.executable, str(script), *map(str, arguments)],
         env=environment | SETTINGS,

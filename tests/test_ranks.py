@@ -147,8 +147,8 @@ def test_a_rank_that_fails_alone_ends_the_others(tmp_path):
         "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM": "1",
         "PYTHONPATH": str(ROOT),
     }
-    arguments = [*LAST, "mpirun", "--quiet", "--oversubscribe", "-n", "2", sys.executable, script]
-    arguments += ["run", CASE, *SMALL, "--out", tmp_path / "run", "--quiet"]
+    arguments = [*LAST, "mpirun", "--quiet", "--oversubscribe", "--bind-to", "none", "-n", "2"]
+    arguments += [sys.executable, script, "run", CASE, *SMALL, "--out", tmp_path / "run", "--quiet"]
     done = subprocess.run(
         arguments, env=environment, capture_output=True, text=True, timeout=120, check=False
     )
