@@ -139,9 +139,11 @@ def test_killed_at_random_a_run_ends_as_if_unbroken(unbroken, tmp_path):
         process.kill()
         kills += 1
         last, told = acknowledged(folder), steps_told(folder)
-        assert told - last <= 1 or last == -1  # at most the step that was being made is lost
         memory, notes = Checkpoints(folder / "checkpoints").newest()
         assert notes == []  # no file is damaged
+        # At most the step that was being made is lost. A checkpoint may be newer than the last one
+        # acknowledged: it was whole when the run was killed.
+        assert told - (memory["steps"] if memory else 0) <= 1
         assert last < 0 or memory["steps"] >= last
         if kills % 5 == 0:
             assert Forked(lambda: run(job(folder, scene))).wait() == 0

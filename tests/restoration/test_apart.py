@@ -1,5 +1,8 @@
 """Reading by another process: whatever becomes of it, this one gets a file or a line."""
 
+import os
+import subprocess
+
 import pytest
 
 from restoration.apart import GB, read_apart
@@ -52,6 +55,22 @@ def test_whatever_goes_wrong_is_told_in_a_line(read, what, message):
     with pytest.raises(CaseError) as caught:
         read(what)
     assert str(caught.value) == message
+
+
+def test_what_waits_too_long_is_ended(read, monkeypatch):
+    """It may wait ten times as long as it may compute."""
+    asked = []
+
+    def waits(*_, timeout, **others):
+        asked.append((timeout, others["env"]["OMP_NUM_THREADS"]))
+        raise subprocess.TimeoutExpired("reader", timeout)
+
+    monkeypatch.setattr("restoration.apart.subprocess.run", waits)
+    before = len(os.listdir("/proc/self/fd"))
+    with pytest.raises(CaseError, match="^a.h5: reading it took too long; the file is damaged$"):
+        read("echo")
+    assert asked == [(10, "1")]
+    assert len(os.listdir("/proc/self/fd")) == before
 
 
 def test_what_cannot_happen_is_no_fault_of_the_file(read):

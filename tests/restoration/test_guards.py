@@ -9,7 +9,7 @@ from restoration.engine import StokesEngine
 from restoration.errors import MeshError, ParticleError, SolveError
 from restoration.guards import StepGuards, look_at_fields
 from restoration.ranks import ALONE
-from restoration.scene import TimePlan
+from restoration.scene import Line, TimePlan
 from restoration.surface import STEEPEST
 from tests.restoration.conftest import MYR, diapir_scene
 
@@ -101,6 +101,100 @@ def test_rock_that_no_rock_is_like_is_told(what, value):
     getattr(engine.grid.fields, what).x.array[3] = value
     with pytest.raises(SolveError, match=r"is not that of any rock at 1 of .* x = "):
         look_at_fields(engine.grid)
+
+
+def after(**changed):
+    """Return a sound state but for what is changed of it or its particles, flow and mesh."""
+    made = state(grid())
+    for name, value in changed.items():
+        owner = next((x for x in vars(made).values() if hasattr(x, name)), made)
+        setattr(owner, name, value)
+    return made
+
+
+def refused(made, error):
+    """Return what is said of a state that is not gone on from."""
+    guards = StepGuards(None, ALONE, True)
+    guards.watch(state(grid()))
+    with pytest.raises(error) as caught:
+        guards.look(made)
+    return str(caught.value)
+
+
+def test_a_flow_that_is_not_finite_is_told_with_its_nodes():
+    u = np.zeros((4, 2))
+    u[1] = u[3, 0] = np.nan
+    assert refused(after(u=u), SolveError) == (
+        "the flow is not finite: the velocity at 2 of 4 nodes, the pressure at 0 of 3"
+    )
+    assert refused(after(p=np.array([0.0, np.inf, 1.0])), SolveError) == (
+        "the flow is not finite: the velocity at 0 of 4 nodes, the pressure at 1 of 3"
+    )
+
+
+def test_a_line_that_is_not_finite_is_told():
+    line = Line("top", "horizon", np.array([[0.0, 1.0], [np.nan, np.nan], [2.0, 1.0]]))
+    assert refused(after(lines=(line,)), MeshError) == "horizon top: 1 of 3 points are not finite"
+
+
+def test_particles_that_are_nowhere_are_told():
+    x = np.ones((3, 2))
+    x[2, 1] = np.nan
+    assert refused(after(x=x), ParticleError).startswith("1 of 3 particles are nowhere")
+
+
+def test_a_particle_that_is_lost_is_told_with_its_place():
+    x = np.array([[1.0, -1.0], [20.0, -30.0], [5.0, -5.0]])
+    inside = np.array([True, False, True])
+    told = refused(after(x=x, lost=1, inside=inside), ParticleError)
+    assert told.startswith("1 of 3 particles have left the section where nothing may, the first ")
+    assert "near x = 20 m and z = -30 m" in told
+
+
+@pytest.mark.parametrize(("cell", "where"), [(0, "x = 1 m and z = -8 m"), (1, "x = 40 m")])
+def test_a_part_without_particles_is_told_with_its_place(cell, where):
+    bare = after()
+    bare.grid.fields.bare = (cell,)
+    told = refused(bare, ParticleError)
+    assert told.startswith(f"no particle is within two cells of 1 cells, the first near {where}")
+
+
+def test_how_long_a_cell_is_is_told():
+    told = refused(state(grid(thinnest=0.5e-5)), MeshError)
+    assert told.startswith(
+        "a cell is 2e+05 times as long as it is high, at most 1e+05 are possible"
+    )
+    look(grid(thinnest=1e-5))
+
+
+def test_what_a_cell_is_to_keep_is_told():
+    told = refused(state(grid(kept=(0.1, 1.0))), MeshError)
+    assert told.endswith("has kept 10 % of its shape, at least 15 % are needed")
+
+
+def test_the_area_of_hundreds_of_steps_is_told_from_where_the_run_began():
+    guards = StepGuards(None, ALONE, True)
+    guards.watch(state(grid()))
+    with pytest.raises(MeshError, match=r"won 1\.0e-04 of its area since the run began"):
+        for step in range(1, 120):
+            guards.look(state(grid(area=(2.0, 3.0 + 4.5e-6 * step))))
+    assert step == 112  # of 9e-7 each
+
+
+def test_guards_go_on_from_what_they_remember():
+    guards, others = (StepGuards(None, ALONE, True) for _ in range(2))
+    guards.watch(state(grid()))
+    guards.look(state(grid(area=(2.0, 3.000004))))
+    others.recall(guards.memory())
+    others.look(state(grid(area=(2.0, 3.000008))))
+    with pytest.raises(MeshError, match="in this step"):
+        others.look(state(grid(area=(2.0, 3.0))))
+    others.recall(guards.memory() | {"begun": 4.0})
+    with pytest.raises(MeshError, match="since the run began"):
+        others.look(state(grid(area=(2.0, 3.000004))))
+    others.recall(guards.memory() | {"particles": 2})
+    with pytest.raises(ParticleError, match="1 of 3 particles are new"):
+        others.look(state(grid(area=(2.0, 3.000004))))
 
 
 def test_births_are_not_taken_for_what_appears():

@@ -63,6 +63,34 @@ def test_usual_spellings(text, kind, value):
     assert to_si(text, kind) == pytest.approx(value, rel=1e-15)
 
 
+@pytest.mark.parametrize(
+    ("text", "kind", "value"),
+    [
+        ("1 Myr", "time", 31557600e6),
+        ("1 kyr", "time", 31557600e3),
+        ("1 yr", "time", 31557600.0),
+        ("1 s", "time", 1.0),
+        ("1 Ma", "age", 31557600e6),
+        ("1 ka", "age", 31557600e3),
+        ("1 m/yr", "velocity", 1 / 31557600.0),
+        ("1 mm/yr", "velocity", 1e-3 / 31557600.0),
+        ("1 km/Myr", "velocity", 1e-3 / 31557600.0),
+        ("1 m/s", "velocity", 1.0),
+        ("1 Pa", "pressure", 1.0),
+        ("1 MPa", "pressure", 1e6),
+        ("1 m/s^2", "acceleration", 1.0),
+        ("180 deg", "angle", 3.141592653589793),
+        ("1 rad", "angle", 1.0),
+        ("1 g/cm^3", "density", 1000.0),
+        ("1 cm", "length", 0.01),
+        ("1 mm", "length", 0.001),
+    ],
+)
+def test_units_are_what_they_are(text, kind, value):
+    """By numbers written here: what is read and shown by one table agrees whatever is in it."""
+    assert to_si(text, kind) == pytest.approx(value, rel=1e-15)
+
+
 def test_decimals_arrive_unchanged():
     """0.1 km is 100 m and not 100.00000000000001 m."""
     assert all(to_si(f"{i / 10} km", "length") == 100.0 * i for i in range(1, 1000))
