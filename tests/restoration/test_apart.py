@@ -67,7 +67,7 @@ def test_what_waits_too_long_is_ended(read, monkeypatch):
 
     monkeypatch.setattr("restoration.apart.subprocess.run", waits)
     before = len(os.listdir("/proc/self/fd"))
-    with pytest.raises(CaseError, match="^a.h5: reading it took too long; the file is damaged$"):
+    with pytest.raises(CaseError, match=r"^a\.h5: reading it took too long; the file is damaged$"):
         read("echo")
     assert asked == [(10, "1")]
     assert len(os.listdir("/proc/self/fd")) == before
