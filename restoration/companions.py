@@ -222,7 +222,10 @@ class Companion:
         self.seconds += time.perf_counter() - begin
         return after
 
-    def release(self):
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
         """Free the memory of its solver."""
         self.engine.grid.stokes.release()
 
@@ -400,53 +403,79 @@ def accompany(follower, make_engine, march, noise, seeds=(11, 12, 13), check=Non
         seeds: of these, one for each.
         check: called after every step.
     """
-    begin, companions = time.perf_counter(), []
+    begin = time.perf_counter()
 
     def companion(coarser):
-        companions.append(Companion(follower, make_engine, march, coarser, check))
-        return companions[-1]
+        return Companion(follower, make_engine, march, coarser, check)
 
     states = thinned(follower.states)
     shortest = SHORTEST * COARSER[0] * follower.scene.outline.width / follower.scene.cells[0]
     waves = [Perturbation(states[0], follower.scene, noise, shortest, seed) for seed in seeds]
     rock = [[wave(states[0].particles.x)] for wave in waves]
     grown, p, failure = [np.zeros_like(states[0].particles.x)], ORDER, ""
+    wrong, alone = [], []
     try:
-        p, wrong = _wrong(follower.states, states, companion(COARSER[0]), companion(COARSER[1]))
-        plain, *others = [companion(COARSER[0]) for _ in (None, *seeds, None)]
-        for i, (one, two) in enumerate(pairwise(states)):
-            alone = offset(two, plain.restored(one, two.time))
-            for off, other in zip([*rock, grown], others, strict=True):
-                off.append(offset(two, other.restored(one, two.time, off[i])) - alone)
-            grown[-1] += wrong[i]
+        p, wrong = _wrong(follower.states, states, companion)
     except TooLargeError:
         raise
     except (MeshError, SolveError) as error:
         failure = str(error)
-    for one in companions:
-        one.release()
+    ways = list(pairwise(states))[: len(wrong)]
+    # One after the other: every companion has a mesh and factors of its own.
+    journeys = [(alone, None, None), *((off, alone, None) for off in rock), (grown, alone, wrong)]
+    for off, less, more in journeys if ways else ():
+        try:
+            with companion(COARSER[0]) as other:
+                _carry(other, ways, off, less, more)
+        except TooLargeError:
+            raise
+        except (MeshError, SolveError) as error:
+            failure = failure or str(error)
+        del ways[len(off) - (off is not alone) :]  # the others need not come farther
+    for off in (*rock, grown):
+        del off[len(ways) + 1 :]
     return Growth(states, rock, grown, p, failure, time.perf_counter() - begin)
 
 
-def _wrong(states, kept, near, far):
+def _carry(companion, ways, off, less=None, more=None):
+    """Carry displacements of the given section along, from instant to instant.
+
+    Args:
+        companion: `Companion` that restores it.
+        ways: pairs of `State`s of the run.
+        off: displacements at the instants so far, to which those at the next ones are added: list
+            of (n, 2), m. With no ``less`` nothing is displaced, and ``off`` begins empty.
+        less: what the companion does without any, by way.
+        more: what is displaced beside that, by way; None for nothing.
+    """
+    for i, (one, two) in enumerate(ways):
+        found = offset(two, companion.restored(one, two.time, None if less is None else off[i]))
+        if less is not None:
+            found -= less[i]
+        off.append(found if more is None else found + more[i])
+
+
+def _wrong(states, kept, companion):
     """Return the order of the mesh, and what a run does wrong between its instants.
 
     Args:
         states: `State` of the run at its instants.
         kept: the same with the particles that are asked about.
-        near, far: companions, of which the second is the coarser one.
+        companion: makes a `Companion` with cells so many times larger.
 
     Returns:
         The order, and displacements of particles at the end of every way, list of (n, 2), m.
     """
     off, sizes = [], []
-    for i, (one, two) in enumerate(pairwise(states)):
-        off.append(offset(two, near.restored(one, two.time)))
-        if i % PROBED == PROBED - 1:
-            more = offset(two, far.restored(one, two.time))
-            sizes.append([np.hypot(*x.T).mean() for x in (off[-1], more)])
-    p = order(*np.sum(sizes, axis=0), (near.coarser, far.coarser)) if sizes else ORDER
-    share = -1 / (near.coarser**p - 1) if near.coarser > 1 else 0.0
+    with companion(COARSER[0]) as near, companion(COARSER[1]) as far:
+        for i, (one, two) in enumerate(pairwise(states)):
+            off.append(offset(two, near.restored(one, two.time)))
+            if i % PROBED == PROBED - 1:
+                more = offset(two, far.restored(one, two.time))
+                sizes.append([np.hypot(*x.T).mean() for x in (off[-1], more)])
+        coarser = near.coarser, far.coarser
+    p = order(*np.sum(sizes, axis=0), coarser) if sizes else ORDER
+    share = -1 / (coarser[0] ** p - 1) if coarser[0] > 1 else 0.0
     pairs = zip(states[1:], kept[1:], strict=True)
     rows = [matched(two.particles, one.particles) for one, two in pairs]
     return p, [
@@ -488,22 +517,18 @@ def prove(follower, end, make_engine, march, check=None):
     scheme = OTHER.get(follower.scene.time.scheme, "rk4")
     proof = {"cells": None, "scheme": scheme} | summary(np.empty(0))
     proof |= {"horizons": None, "failure": None}
-    prover = None
     try:
-        prover = Companion(follower, make_engine, march, FINER, check, scheme)
-        proof["cells"] = list(prover.cells)
-        reached = prover.restored(end, given.time)
+        with Companion(follower, make_engine, march, FINER, check, scheme) as prover:
+            proof["cells"] = list(prover.cells)
+            reached = prover.restored(end, given.time)
     except TooLargeError:
         raise
     except (MeshError, SolveError) as error:
-        if prover is not None:
-            prover.release()
         return proof | {"failure": str(error), "wall_s": round(time.perf_counter() - begin, 3)}
     rows = matched(given.particles, reached.particles)
     off = reached.particles.x[rows] - given.particles.x
     proof |= summary(np.hypot(*off[rows >= 0].T))
     proof["horizons"] = line_distances(as_drawn(given.lines), as_drawn(reached.lines))
-    prover.release()
     return proof | {"wall_s": round(time.perf_counter() - begin, 3)}
 
 

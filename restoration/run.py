@@ -130,7 +130,9 @@ def run_job(job, progress=None, stop=None):
 
     with stop or StopRequest() as stop, ExitStack() as locks:
         folder = ranks.same(ranks.alone(claim, job, locks))
+        checkpoints = Checkpoints(job.folder / "checkpoints")
         if folder is None:
+            ranks.alone(_tidy, checkpoints)  # it may have been killed before it did
             if job.prove and not ranks.same(ranks.alone(proved, job.folder)):
                 raise CaseError(
                     f"{job.folder}: holds this very run, without a proof; --fresh --prove runs it "
@@ -138,7 +140,6 @@ def run_job(job, progress=None, stop=None):
                 )
             return None, job.folder
         check()
-        checkpoints = Checkpoints(folder / "checkpoints")
         memory, notes = ranks.same(ranks.alone(_went_before, job, checkpoints))
         recorder = _recorder(job, folder, progress, memory)
         stop.listen()
