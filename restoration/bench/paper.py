@@ -26,6 +26,7 @@ from restoration.welds import welds
 CASES = Path(__file__).parents[2] / "cases"
 SOURCE = "Schuh-Senlis et al. (2020), sect. 4"
 AXIS = "0, 1: one viscosity; 2, 3: two; 4 to 8: drawn; 9: graben"  # models in their order
+LEFT_OUT = ("diapir-two-viscosities-full",)  # where it is to be quick: half of it is run too
 LONG = 1000  # Courant number that leaves the steps to `min_steps`
 
 
@@ -160,6 +161,8 @@ def models(quick):
 def run_paper(quick):
     """The paper's three models, there and back and against independent runs."""
     for model in models(quick):
+        if quick and model.name in LEFT_OUT:
+            continue
         yield from rows_of(model, "same_scheme", model.same, model.same)
         ways = (model.back, model.there) if model.drawn else (model.there, model.back)
         yield from rows_of(model, "independent", *ways)
@@ -294,10 +297,14 @@ def _histogram(distance):
 
 def graben_rows(quick):
     """Yield the rows of the graben (sect. 4.3), whose horizons count and not its surface."""
-    there, back = (([24, 8], 7), ([27, 9], 6)) if quick else graben.WAYS[False]
-    for kind, way in (("same_scheme", there), ("independent", back)):
-        forward = graben.scene(*there, graben.FORWARD)
-        backward = graben.scene(*way, graben.BACKWARD)
+    there, back = graben.WAYS[False]
+    if quick:  # the benchmark `graben` has it against an independent run
+        there, kinds = ([24, 8], 3), ("same_scheme",)
+    else:
+        kinds = "same_scheme", "independent"
+    for kind in kinds:
+        ways = there, there if kind == "same_scheme" else back
+        forward, backward = graben.scenes(*ways, graben.SPANS[quick])
         clock = Clock()
         start, _, end, _, restorer = graben.restored(forward, backward)
         lines = line_distances(as_drawn(start.lines), as_drawn(end.lines))
