@@ -1,12 +1,16 @@
 """Reading by another process: whatever becomes of it, this one gets a file or a line."""
 
 import os
+import resource
 import subprocess
+import sys
+from pathlib import Path
 
 import pytest
 
-from restoration.apart import GB, read_apart
+from restoration.apart import GB, REFUSED, answer, read_apart
 from restoration.errors import CaseError
+from tests.forked import Forked
 
 READER = """
 import ctypes, os, signal, sys, time
@@ -82,3 +86,68 @@ def test_a_reader_started_by_a_rank_is_no_rank(read, monkeypatch):
     monkeypatch.setenv("OMPI_COMM_WORLD_SIZE", "2")
     with read("launched") as answer:
         assert answer.read() == b""
+
+
+def answered(tmp_path, read, *words, seconds=5, more=GB, by_argv=False):
+    """Let a fork answer as the other process does; return its exit code, what it said and gave.
+
+    Args:
+        tmp_path: folder.
+        read: as of `answer`.
+        words: for it.
+        seconds: of computing.
+        more: address space that it may take beside that of this process, bytes.
+        by_argv: whether it is told all by its command line.
+    """
+    lines = Path("/proc/self/status").read_text().splitlines()
+    (line,) = (line for line in lines if line.startswith("VmSize"))
+    memory = int(line.split()[1]) * 1024 + more
+    with (tmp_path / "given").open("w+b") as given, (tmp_path / "said").open("w+b") as said:
+        told = [str(given.fileno()), str(seconds), str(memory), *words]
+
+        def other():
+            os.dup2(said.fileno(), 2)
+            sys.stderr = os.fdopen(2, "w", buffering=1)
+            sys.argv = ["reader", *told]
+            return answer(read) if by_argv else answer(read, told)
+
+        code = Forked(other).wait(60)
+        return code, (tmp_path / "said").read_text(), (tmp_path / "given").read_bytes()
+
+
+@pytest.mark.parametrize("by_argv", [False, True])
+def test_what_is_read_is_left_in_the_file(tmp_path, by_argv):
+    def read(filled, *words):
+        filled.write(" ".join(words).encode())
+
+    assert answered(tmp_path, read, "a", "b", by_argv=by_argv) == (0, "", b"a b")
+
+
+def test_why_a_file_is_refused_is_said(tmp_path):
+    def read(_):
+        raise CaseError("is no series")
+
+    assert answered(tmp_path, read) == (REFUSED, "is no series\n", b"")
+    assert REFUSED == CaseError.exit_code
+
+
+def test_more_memory_than_allowed_is_refused(tmp_path):
+    assert GB == 1073741824
+    code, said, _ = answered(tmp_path, lambda _: bytes(2 * GB))
+    assert (code, said) == (2, "takes too much memory to be read; the file is damaged\n")
+    assert answered(tmp_path, lambda _: bytes(2 * GB), more=4 * GB)[0] == 0
+
+
+def test_more_computing_than_allowed_is_ended(tmp_path):
+    def read(_):
+        while True:
+            pass
+
+    assert answered(tmp_path, read, seconds=1)[0] < 0
+
+
+def test_a_crash_leaves_no_core(tmp_path):
+    def read(filled):
+        filled.write(repr(resource.getrlimit(resource.RLIMIT_CORE)).encode())
+
+    assert answered(tmp_path, read)[2] == b"(0, 0)"

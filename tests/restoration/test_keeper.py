@@ -12,6 +12,7 @@ from restoration import keeper
 from restoration.errors import CaseError, CheckpointError, SolveError, StoppedError
 from restoration.keeper import Keeper, about, how_often, newest, wall_time
 from restoration.ranks import ALONE
+from tests.forked import Forked
 
 JOB = SimpleNamespace(sha256="a1")
 
@@ -279,6 +280,15 @@ def test_the_age_of_a_process_is_from_its_start():
     command = "import time; time.sleep(0.5); from restoration.keeper import age; print(age())"
     told = subprocess.run([sys.executable, "-c", command], capture_output=True, check=True)
     assert 0.5 <= float(told.stdout) <= time.monotonic() - begin + 0.02  # of a clock that ticks
+
+
+def test_the_age_of_a_fork_is_its_own(tmp_path):
+    def child():
+        time.sleep(0.3)
+        (tmp_path / "age").write_text(str(keeper.age()))
+
+    Forked(child).wait()
+    assert 0.25 < float((tmp_path / "age").read_text()) < 60
 
 
 def test_nobody_asks_a_run_to_stop_unless_told(clock):
