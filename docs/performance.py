@@ -244,7 +244,7 @@ def steady():
     head("cells", "step, s", "particle work, s", "one back-substitution, s", "ratio")
     for cells in (45, 90):
         walk = Walk(ONE, f"mesh.cells={cells}")
-        wall, _, parts = walk.timed(6)
+        wall, _, parts = walk.timed(24)
         stokes = walk.engine.grid.stokes
         solver = stokes.solver
         back = fastest(lambda solver=solver, s=stokes: solver.apply(None, s.b, s.x), np.median)
