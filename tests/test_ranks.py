@@ -30,10 +30,10 @@ def without_launcher():
     return {name: text for name, text in os.environ.items() if not name.startswith(left)}
 
 
-def run(*arguments, seconds=900):
+def run(*arguments, seconds=900, **environment):
     return subprocess.run(
         command(*arguments),
-        env=without_launcher(),
+        env=without_launcher() | environment,
         cwd=ROOT,
         capture_output=True,
         text=True,
@@ -46,6 +46,17 @@ def run(*arguments, seconds=900):
 def two_ranks(tmp_path_factory):
     out = tmp_path_factory.mktemp("ranks") / "two"
     return run(CASE, *SMALL, "--out", out, "--ranks", 2, "--quiet"), out
+
+
+def test_ranks_are_not_bound_to_cores(tmp_path):
+    """Every run would be bound to the same ones."""
+    launcher = tmp_path / "mpirun"
+    launcher.write_text('#!/bin/sh\necho "$@"\n')
+    launcher.chmod(0o755)
+    done = run(CASE, "--ranks", 2, PATH=f"{tmp_path}:{os.environ['PATH']}")
+    assert done.returncode == 0, done.stderr
+    assert "--bind-to none -n 2" in done.stdout
+    assert f"restoration.cli run {CASE}" in done.stdout
 
 
 @pytest.mark.slow
