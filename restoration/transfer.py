@@ -27,7 +27,7 @@ from restoration.spaces import nodes
 BACKGROUND = 0.1
 MOST_CHUNKS, CHUNK_PER_NODE = 8, 4  # chunks of particles; particles in one, for every vertex
 ROUNDING = 1e-9  # of a mean of values that are all alike, relative
-OVERSHOOT = 10.0  # of a density, in differences of the rocks
+OVERSHOOT = 1.0  # of a density beside a jump at most, in differences of the rocks
 MASS_DEGREE = 3  # of the quadrature of the mass matrix, exact on squares that are not skew
 
 # f of `forms.rheology`, for the values of the particles.
@@ -156,16 +156,27 @@ class RockFields:
     def ranges(self):
         """Return (name, function, least, most) of what the fields hold, most and least possible.
 
-        The density may overshoot beside a jump: where few particles are left in a corner by several
-        times what it jumps, as the journeys of `restore bench paper` do.
+        The density may overshoot beside a jump.
         """
-        low, high = self._density.min(), self._density.max()
-        room = OVERSHOOT * (high - low)
         theta = self._mean.min(), self._mean.max()
         return (
-            ("density", self.rho, *_widened(low - room, high + room)),
+            ("density", self.rho, *_widened(*self._densities())),
             ("viscosity", self.theta, *_widened(*theta)),
         )
+
+    def _densities(self):
+        """Return the least and the greatest density that the field may have, kg/m^3."""
+        low, high = self._density.min(), self._density.max()
+        room = OVERSHOOT * (high - low)
+        return low - room, high + room
+
+    def _limited(self, values):
+        """Return densities that overshoot no more than they may.
+
+        Where few particles are left in a corner the projection has no hold: by several times what
+        the rocks differ it overshot there.
+        """
+        return np.clip(values, *self._densities())
 
     def _traced(self, values):
         """Return a function that has values on facets: itself, or the means of its cells."""
@@ -234,13 +245,13 @@ class RockFields:
         if kind == "lines" and column == 0:
             nodes = self.spaces.h_nodes
             moments = np.bincount(nodes.ravel(), between[..., 0].ravel(), self._vertices)
-            return self._sharpened.with_moments(moments, hats[:, 0])
+            return self._limited(self._sharpened.with_moments(moments, hats[:, 0]))
         if kind == "lines":  # lines that cross each other a little take away what is not there
             means = between[..., 1].sum(axis=1) / self.index.area
             means[self.in_air] = self._mean[0]
             return np.clip(means, self._mean.min(), self._mean.max())
         if kind == "projection":
-            return self._sharpened(hats[:, column])
+            return self._limited(self._sharpened(hats[:, column]))
         table = (self._density, self._mean)[column]
         fallback = hats[self.spaces.h_nodes, column].mean(axis=1)
         if kind == "cell":

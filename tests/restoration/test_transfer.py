@@ -208,6 +208,21 @@ def test_projection_follows_a_mesh_that_moves():
         assert np.ptp(fields.rho.x.array) > 450  # it overshoots
 
 
+def test_projection_overshoots_by_no_more_than_the_rocks_differ(box, monkeypatch):
+    """Where few particles lie unevenly nothing else holds it."""
+    cloud = scattered(box[1], 40, seed=3)
+    unit = cloud[0][:, 0] > 0.5
+    least = {}
+    for limited in (True, False):
+        if not limited:
+            monkeypatch.setattr(RockFields, "_limited", lambda _, values: values)
+        fields = filled(box, [2150, 2600], [1, 1], ("projection", "hat", "harmonic"), unit, cloud)
+        least[limited] = fields.rho.x.array.min()
+        _, _, low, high = fields.ranges()[0]
+        assert (fields.rho.x.array.max() <= high) and (least[limited] >= low) == limited
+    assert least[False] < least[True] == 1700
+
+
 def test_projection_is_that_of_the_rock_below_air():
     found = []
     for air in (None, (0.4, 3)):
