@@ -46,6 +46,9 @@ MORE = {
     "left to particles": lambda: diapir(
         mesh=MeshPlan(interfaces="auto"), time=TimePlan((0.0, 3 * MYR), "midpoint", 2.0, 4)
     ),
+    "steps by their error": lambda: diapir(
+        time=TimePlan((0.0, -0.6 * MYR), "rk3", 1.0, 3, tolerance=1.0)
+    ),
     "squares": lambda: diapir(mesh=MeshPlan(element="Q2-P1dg")),
     "split triangles": lambda: diapir(mesh=MeshPlan(element="P2-P1dg", interfaces="fitted")),
     "moments": lambda: diapir(transfer=Transfer("projection", "linear", "geometric")),
@@ -83,3 +86,12 @@ def test_a_rebuilt_engine_goes_on_bit_for_bit(name):
         assert arrays_of(unpacked(packed(other.memory(state)), "again")) == arrays_of(memory)
         end = march(state, other, scene.time, passed=passed)
         assert arrays_of(unpacked(packed(other.memory(end)), "end")) == last
+
+
+def test_a_step_that_was_shortened_stays_short():
+    engine, other = (StokesEngine(diapir()) for _ in range(2))
+    state = engine.with_flow(engine.start())
+    engine.longest, engine.retried = 1e10, 3
+    memory = unpacked(packed(engine.memory(state)), "memory")
+    assert other.stable_step(other.recalled(memory), -MYR) == 1e10
+    assert other.retried == 3
