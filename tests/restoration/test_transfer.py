@@ -219,7 +219,8 @@ def test_projection_overshoots_by_no_more_than_the_rocks_differ(box, monkeypatch
         fields = filled(box, [2150, 2600], [1, 1], ("projection", "hat", "harmonic"), unit, cloud)
         least[limited] = fields.rho.x.array.min()
         _, _, low, high = fields.ranges()[0]
-        assert (fields.rho.x.array.max() <= high) and (least[limited] >= low) == limited
+        assert fields.rho.x.array.max() <= high
+        assert (least[limited] >= low) == limited
     assert least[False] < least[True] == 1700
 
 
