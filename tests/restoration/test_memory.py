@@ -7,7 +7,7 @@ from restoration.box_engine import BoxEngine
 from restoration.checkpoint import packed, unpacked
 from restoration.engine import StokesEngine
 from restoration.run import march
-from restoration.scene import Air, MeshPlan, SurfacePlan, TimePlan, Transfer
+from restoration.scene import Air, MeshPlan, RefinePlan, SurfacePlan, TimePlan, Transfer
 from tests.mpi_runs import SCENES
 from tests.restoration.conftest import MYR, diapir_scene
 from tests.restoration.test_free_surface import FREE, GAMMA, free_scene, hill
@@ -48,6 +48,10 @@ MORE = {
     ),
     "steps by their error": lambda: diapir(
         time=TimePlan((0.0, -0.6 * MYR), "rk3", 1.0, 3, tolerance=1.0)
+    ),
+    "refined in every third step": lambda: diapir(
+        mesh=MeshPlan(refine=RefinePlan(1, ("interfaces",), 3)),
+        time=TimePlan((0.0, -0.3 * MYR), "midpoint", 1.0, 7),
     ),
     "squares": lambda: diapir(mesh=MeshPlan(element="Q2-P1dg")),
     "split triangles": lambda: diapir(mesh=MeshPlan(element="P2-P1dg", interfaces="fitted")),
