@@ -21,7 +21,7 @@ from restoration.writing import check_room, disk_faults, replacing, write_text
 
 KEPT = 3  # checkpoints of a run
 HEAD = 512  # bytes of the user block of HDF5
-FORMAT = "restoration checkpoint 1"
+FORMAT = "restoration checkpoint 2"
 LARGEST = 200_000_000_000  # bytes of a file that is read
 KINDS = "fiub"  # of the arrays
 DAMAGED = "is damaged, or no checkpoint of this version"

@@ -233,7 +233,7 @@ def _run(options):
     from restoration.stop_request import StopRequest
 
     checkpoint = how_often(options.checkpoint)
-    walltime = None if options.walltime is None else wall_time(options.walltime) - age()
+    walltime = None if options.walltime is None else wall_time(options.walltime)
 
     with StopRequest() as stop:  # already here: a Ctrl-C while a library loads would break it
         loaded = _load(options)
@@ -253,7 +253,7 @@ def _run(options):
             options.fresh,
             options.prove,
             checkpoint,
-            walltime,
+            None if walltime is None else walltime - age(),
         )
         record, folder = run_job(job, None if options.quiet else Progress(), stop)
     if record is None:

@@ -16,7 +16,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from restoration.diagnostics import line_distances, summary
-from restoration.errors import MeshError, SolveError, TooLargeError
+from restoration.errors import MeshError, SolveError, StoppedError, TooLargeError
 from restoration.lines import as_drawn, points_of, surface_of, with_points
 from restoration.particles import subset
 from restoration.scene import Outline
@@ -225,9 +225,11 @@ class Companion:
     def __enter__(self):
         return self
 
-    def __exit__(self, *_):
-        """Free the memory of its solver."""
-        self.engine.grid.stokes.release()
+    def __exit__(self, kind, *_):
+        """Free the memory of its solver, together: not where one rank alone has met something."""
+        together = kind is None or issubclass(kind, (MeshError, SolveError, StoppedError))
+        if together and not (kind and issubclass(kind, TooLargeError)):
+            self.engine.grid.stokes.release()
 
 
 def displaced(state, off, within=None):
@@ -405,7 +407,7 @@ def accompany(follower, make_engine, march, noise, seeds=(11, 12, 13), check=Non
     """
     begin = time.perf_counter()
 
-    def companion(coarser):
+    def make(coarser):
         return Companion(follower, make_engine, march, coarser, check)
 
     states = thinned(follower.states)
@@ -415,7 +417,7 @@ def accompany(follower, make_engine, march, noise, seeds=(11, 12, 13), check=Non
     grown, p, failure = [np.zeros_like(states[0].particles.x)], ORDER, ""
     wrong, alone = [], []
     try:
-        p, wrong = _wrong(follower.states, states, companion)
+        p, wrong = _wrong(follower.states, states, make)
     except TooLargeError:
         raise
     except (MeshError, SolveError) as error:
@@ -423,15 +425,17 @@ def accompany(follower, make_engine, march, noise, seeds=(11, 12, 13), check=Non
     ways = list(pairwise(states))[: len(wrong)]
     # One after the other: every companion has a mesh and factors of its own.
     journeys = [(alone, None, None), *((off, alone, None) for off in rock), (grown, alone, wrong)]
-    for off, less, more in journeys if ways else ():
+    for off, less, more in journeys:
+        if not ways:
+            break
         try:
-            with companion(COARSER[0]) as other:
+            with make(COARSER[0]) as other:
                 _carry(other, ways, off, less, more)
         except TooLargeError:
             raise
         except (MeshError, SolveError) as error:
-            failure = failure or str(error)
-        del ways[len(off) - (off is not alone) :]  # the others need not come farther
+            failure = str(error)  # on an earlier way than any before: none goes farther than that
+            del ways[len(off) - (off is not alone) :]
     for off in (*rock, grown):
         del off[len(ways) + 1 :]
     return Growth(states, rock, grown, p, failure, time.perf_counter() - begin)
@@ -455,25 +459,26 @@ def _carry(companion, ways, off, less=None, more=None):
         off.append(found if more is None else found + more[i])
 
 
-def _wrong(states, kept, companion):
+def _wrong(states, kept, make):
     """Return the order of the mesh, and what a run does wrong between its instants.
 
     Args:
         states: `State` of the run at its instants.
         kept: the same with the particles that are asked about.
-        companion: makes a `Companion` with cells so many times larger.
+        make: makes a `Companion` with cells so many times larger.
 
     Returns:
         The order, and displacements of particles at the end of every way, list of (n, 2), m.
     """
-    off, sizes = [], []
-    with companion(COARSER[0]) as near, companion(COARSER[1]) as far:
-        for i, (one, two) in enumerate(pairwise(states)):
-            off.append(offset(two, near.restored(one, two.time)))
-            if i % PROBED == PROBED - 1:
-                more = offset(two, far.restored(one, two.time))
-                sizes.append([np.hypot(*x.T).mean() for x in (off[-1], more)])
-        coarser = near.coarser, far.coarser
+    ways = list(pairwise(states))
+    with make(COARSER[0]) as near:
+        off = [offset(two, near.restored(one, two.time)) for one, two in ways]
+    sizes, probed = [], slice(PROBED - 1, None, PROBED)
+    with make(COARSER[1]) as far:
+        for (one, two), x in zip(ways[probed], off[probed], strict=True):
+            more = offset(two, far.restored(one, two.time))
+            sizes.append([np.hypot(*y.T).mean() for y in (x, more)])
+    coarser = near.coarser, far.coarser
     p = order(*np.sum(sizes, axis=0), coarser) if sizes else ORDER
     share = -1 / (coarser[0] ** p - 1) if coarser[0] > 1 else 0.0
     pairs = zip(states[1:], kept[1:], strict=True)

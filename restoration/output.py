@@ -43,6 +43,7 @@ RECORD = {
     "wall_s": (),
     "wall_by_part_s": (
         "setup",
+        "mesh",
         "fields",
         "assemble",
         "solve",
@@ -134,7 +135,7 @@ def write_lines(path, lines, properties=None):
     ]
     # "crs": null keeps QGIS from taking metres for degrees.
     collection = {"type": "FeatureCollection", "crs": None, "features": features}
-    write_text(path, json.dumps(collection, allow_nan=False) + "\n")
+    write_text(path, json.dumps(collection, allow_nan=False) + "\n", durable=True)
 
 
 def write_record(path, record):

@@ -285,14 +285,16 @@ class Recorder:
 
     def _mend(self):
         """Make anew what a mark has left in the folder and is gone since."""
-        before = None
+        before, begin = None, time.perf_counter()
         for number, state in enumerate(self._marks):
             name = self._name_at(number, state.time)
             made = self.folder / "figures" / f"section-{name}.png", self._lines_path(name)
-            if not self.ranks.same(all(path is None or path.is_file() for path in made)):
+            if not self.ranks.same(all(path is None or _there(path) for path in made)):
                 self._picture(name, state, before)
-                self.say(f"note: horizons or picture of mark {number} were gone; made anew")
+                less = " without arrows" if self.scene.output.arrows else ""
+                self.say(f"note: horizons or picture of mark {number} were gone; made anew{less}")
             before = state.time
+        self._output_s += time.perf_counter() - begin
 
     def _lines_path(self, name):
         return self.folder / "horizons" / f"{name}.geojson"
@@ -547,6 +549,11 @@ class Recorder:
             "wall_s": round(time.perf_counter() - self._began, 3),
             "peak_rss_mb": round(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024, 1),
         }
+
+
+def _there(path):
+    """Return whether a file is there; after a loss of power an empty one may be left of it."""
+    return path.is_file() and path.stat().st_size > 0
 
 
 def _arrows(state):

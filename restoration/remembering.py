@@ -52,6 +52,8 @@ class Remembering:
         Returns:
             A dict of dicts, lists, numbers, texts and arrays; the same on all ranks.
         """
+        if gather:  # for a file, and counted with that
+            return self._memory(state, gather)
         with self.timed("guards"):
             return self._memory(state, gather)
 
@@ -95,7 +97,7 @@ class Remembering:
             setattr(self, name, value)
         self.left, self.entered = dict(memory["left"]), dict(memory["entered"])
         self._folded, self.notes = set(memory["folded"]), list(memory["notes"])
-        self.seconds, self._last_flow = self.seconds | memory["seconds"], flow
+        self.seconds, self._last_flow = dict(memory["seconds"]), flow
         state = self.rock_of(memory)
         particles = self.sharing.dealt(state.particles, self.grid.index)
         return replace(state, particles=particles, flow=flow, grid=self.grid)

@@ -4,11 +4,11 @@
 """
 
 import time
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from math import ceil
 
 from restoration.checkpoint import Checkpoints
-from restoration.errors import CaseError, SolveError, StoppedError
+from restoration.errors import CaseError, OutputError, SolveError, StoppedError
 from restoration.keeper import Keeper, newest
 from restoration.launch import as_many_as_told
 from restoration.retry import stepped
@@ -132,12 +132,7 @@ def run_job(job, progress=None, stop=None):
         folder = ranks.same(ranks.alone(claim, job, locks))
         checkpoints = Checkpoints(job.folder / "checkpoints")
         if folder is None:
-            ranks.alone(_tidy, checkpoints)  # it may have been killed before it did
-            if job.prove and not ranks.same(ranks.alone(proved, job.folder)):
-                raise CaseError(
-                    f"{job.folder}: holds this very run, without a proof; --fresh --prove runs it "
-                    "again with one"
-                )
+            _look_back(job, ranks, checkpoints)
             return None, job.folder
         check()
         memory, notes = ranks.same(ranks.alone(_went_before, job, checkpoints))
@@ -183,6 +178,25 @@ def _carry_out(job, recorder, keeper, passed):
     recorder.certify(march, keeper.check)
     if job.prove:
         recorder.prove(march, keeper.check)
+
+
+def _look_back(job, ranks, checkpoints):
+    """Do for a run that has ended well what it may have been killed before.
+
+    Raises:
+        CaseError: a proof is asked for, and it has none.
+    """
+
+    def tidy():
+        with suppress(OSError, OutputError):  # a result may lie where nothing can be changed
+            _tidy(checkpoints)
+
+    ranks.alone(tidy)
+    if job.prove and not ranks.same(ranks.alone(proved, job.folder)):
+        raise CaseError(
+            f"{job.folder}: holds this very run, without a proof; --fresh --prove runs it again "
+            "with one"
+        )
 
 
 def _tidy(checkpoints):

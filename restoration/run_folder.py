@@ -7,14 +7,16 @@ import json
 import os
 import tempfile
 import time
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
 from restoration.errors import CaseError, OutputError
 from restoration.writing import write_text
 
-LOCK = ".lock"  # in a run folder, for other machines
+LOCK = ".lock"  # in a run folder, for other machines and users
+# What a disk says that knows no locks, or on which nothing can be written.
+NO_LOCKS = errno.ENOLCK, errno.EOPNOTSUPP, errno.ENOSYS, errno.EACCES, errno.EROFS
 
 
 @dataclass(frozen=True)
@@ -74,33 +76,30 @@ def claim(job, locks):
     folder = job.folder
     locks.enter_context(locked(folder))
     try:
-        if folder.exists() and not (folder.is_dir() and _hardly_begun(folder)):
-            earlier = _earlier(folder)
-            if earlier is None:
-                raise CaseError(f"{folder}: is not a run folder and not empty; give another --out")
-            if not job.fresh and earlier != (job.sha256, True):
-                if earlier[0] != job.sha256:
-                    raise CaseError(
-                        f"{folder}: holds the run of another case; give another --out, or --fresh "
-                        "to throw it away"
-                    )
-            elif not job.fresh:
+        begun = folder.exists() and not (folder.is_dir() and _hardly_begun(folder))
+        if begun and _earlier(folder) is None:
+            raise CaseError(f"{folder}: is not a run folder and not empty; give another --out")
+        folder.mkdir(parents=True, exist_ok=True)
+        locks.enter_context(claimed(folder))
+        if not _hardly_begun(folder):  # looked at anew: now nobody else changes it
+            sha256, ended_well = _earlier(folder)
+            if not job.fresh and sha256 != job.sha256:
+                raise CaseError(
+                    f"{folder}: holds the run of another case; give another --out, or --fresh to "
+                    "throw it away"
+                )
+            if not job.fresh and ended_well:
                 return None
-            locks.enter_context(claimed(folder))
             if job.fresh or not any(folder.glob("checkpoints/step-*.h5")):
                 clear(folder)
-            _lay_out(job)
-        else:
-            _lay_out(job)
-            locks.enter_context(claimed(folder))
+        _lay_out(job)
     except OSError as error:
         raise OutputError(f"{folder}: {error.strerror}; give another --out") from error
     return folder
 
 
 def _lay_out(job):
-    """Make the folders of a run, and write the case."""
-    job.folder.mkdir(parents=True, exist_ok=True)
+    """Make the folders in that of a run, and write the case."""
     write_text(job.folder / "resolved.yaml", job.resolved)  # the first one: see `_hardly_begun`
     write_text(job.folder / "case.yaml", job.case_text)
     for name in ("figures", "horizons"):
@@ -196,31 +195,32 @@ def locked(folder, what="run", patience=0.0):
 
 @contextmanager
 def claimed(folder):
-    """Keep runs of other machines that share its disk out of a run folder.
+    """Keep runs of other machines and users that share its disk out of a run folder.
 
-    A disk that knows no locks keeps nobody out.
+    A disk that knows no locks keeps nobody out; nor does a folder in which nothing can be written.
 
     Raises:
         CaseError: another run is at work in it.
     """
-    with _opened(folder / LOCK) as lock:
+    with ExitStack() as held:
         try:
-            free = _taken(lock)
+            free = _taken(held.enter_context(_opened(folder / LOCK, 0o666)))
         except OSError as error:
-            if error.errno not in (errno.ENOLCK, errno.EOPNOTSUPP, errno.ENOSYS):
+            if error.errno not in NO_LOCKS:
                 raise
             free = True
         if not free:
             raise CaseError(
-                f"{folder}: a run of another machine is at work in it; give another --out"
+                f"{folder}: another run is at work in it, of another machine or user; give another "
+                "--out"
             )
         yield
 
 
-def _opened(path):
+def _opened(path, mode=0o600):
     """Return a lock file, open; where all may write, a link could lead to somebody else's file."""
     flags = os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC
-    return os.fdopen(os.open(path, flags, 0o600), "w")
+    return os.fdopen(os.open(path, flags, mode), "w")
 
 
 def _taken(lock):

@@ -29,9 +29,8 @@ def test_case_runs_coarse(path, tmp_path):
     entries = *COARSE, f"time.courant={max(2, scene.time.courant)}"
     if scene.dim == 3:
         entries = *entries, "mesh.cells=3"
-    if (
-        scene.faults
-    ):  # a new mesh in every step, of the run and of all companions of its certificate
+    # With faults every step has a mesh of its own, also those of all companions.
+    if scene.faults:
         entries = *entries, "time.marks=[0 kyr, 10 kyr, 0 kyr]", "time.min_steps=1"
     overrides = [part for entry in entries for part in ("--set", entry)]
     code = main(["run", str(path), "--quiet", "--out", str(tmp_path / "run"), *overrides])
@@ -84,7 +83,7 @@ def test_three_dimensions_come_back(tmp_path):
 
 @pytest.mark.slow
 def test_demo_comes_back(tmp_path):
-    """The demo as `make demo` runs it, against the figures of the paper (its sect. 4.1)."""
+    """`make demo` without its certificate, against the figures of the paper (its sect. 4.1)."""
     begin = time.process_time()  # of this process: other work on the machine does not count
     case = "cases/diapir-isoviscous/case.yaml"
     record = run(case, tmp_path / "run", "certificate=off")  # that is tested by itself

@@ -136,21 +136,29 @@ def test_ctrl_c_ends_all_ranks_after_the_step(tmp_path):
 
 
 @pytest.mark.slow
-def test_a_rank_that_fails_alone_ends_the_others(tmp_path):
+@pytest.mark.parametrize(
+    "where", ["StokesEngine._settled = fails", "Companion.restored = fails_beside"]
+)
+def test_a_rank_that_fails_alone_ends_the_others(tmp_path, where):
     script = tmp_path / "one_fails.py"
     script.write_text(
         "import sys\n"
         "from mpi4py import MPI\n"
         "from restoration import launch\n"
         "from restoration.cli import main\n"
+        "from restoration.companions import Companion\n"
         "from restoration.engine import StokesEngine\n"
         "launch.PATIENCE = 2\n"
-        "settled = StokesEngine._settled\n"
+        "settled, restored = StokesEngine._settled, Companion.restored\n"
         "def fails(self, particles):\n"
         "    if MPI.COMM_WORLD.rank == 1 and self._steps == 2:\n"
         "        raise MemoryError\n"
         "    return settled(self, particles)\n"
-        "StokesEngine._settled = fails\n"
+        "def fails_beside(self, *arguments):\n"
+        "    if MPI.COMM_WORLD.rank == 1:\n"
+        "        raise MemoryError\n"
+        "    return restored(self, *arguments)\n"
+        f"{where}\n"
         "sys.exit(main(sys.argv[1:]))\n"
     )
     environment = without_launcher() | {

@@ -41,7 +41,7 @@ def run_graben(quick=False):
         yield from _rows(case, *scenes(there, back, span), held=())
 
 
-def scenes(there, back, span=SPANS[False]):
+def scenes(there, back, span):
     """Return the scenes that deform the section and restore it.
 
     Args:

@@ -298,13 +298,11 @@ def _histogram(distance):
 def graben_rows(quick):
     """Yield the rows of the graben (sect. 4.3), whose horizons count and not its surface."""
     there, back = graben.WAYS[False]
+    ways = {"same_scheme": (there, there), "independent": (there, back)}
     if quick:  # the benchmark `graben` has it against an independent run
-        there, kinds = ([24, 8], 3), ("same_scheme",)
-    else:
-        kinds = "same_scheme", "independent"
-    for kind in kinds:
-        ways = there, there if kind == "same_scheme" else back
-        forward, backward = graben.scenes(*ways, graben.SPANS[quick])
+        ways = {"same_scheme": (([24, 8], 3), ([24, 8], 3))}
+    for kind, pair in ways.items():
+        forward, backward = graben.scenes(*pair, graben.SPANS[quick])
         clock = Clock()
         start, _, end, _, restorer = graben.restored(forward, backward)
         lines = line_distances(as_drawn(start.lines), as_drawn(end.lines))

@@ -88,7 +88,7 @@ def test_a_longer_and_a_shorter_one_is_damaged():
 
 def test_one_of_another_format_is_refused(monkeypatch):
     content = packed(memory())
-    monkeypatch.setattr(checkpoint, "FORMAT", "restoration checkpoint 2")
+    monkeypatch.setattr(checkpoint, "FORMAT", "of another kind")
     with pytest.raises(CheckpointError, match="no checkpoint of this version"):
         unpacked(content, "step")
 

@@ -1,8 +1,10 @@
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from restoration import companions
 from restoration.bench.certificate import judged
 from restoration.bench.scenes import two_rocks, under_a_wave
 from restoration.companions import (
@@ -18,6 +20,7 @@ from restoration.companions import (
     way_back,
 )
 from restoration.engine import StokesEngine
+from restoration.errors import MeshError
 from restoration.layered import Layer, rates
 from restoration.particles import subset
 from restoration.run import march
@@ -167,3 +170,66 @@ def test_a_section_that_cannot_be_restored_is_not_trusted():
     (row,) = found["horizons"]
     assert "not to be trusted beyond -" in row["verdict"] or "Ma" in row["verdict"]
     assert row["trusted"] is False
+
+
+class FakeCompanion:
+    """Moves particles by a metre a way, and fails on a way where it is the one that does.
+
+    Attributes:
+        made: all there were, in their order.
+        fails: (companion, way) that fail.
+    """
+
+    made, fails = [], {}
+
+    def __init__(self, follower, _engine, _march, coarser, *_):
+        self.number, self.way, self.coarser, self.states = len(self.made), 0, coarser, follower
+        self.made.append(self)
+
+    def __enter__(self):
+        assert sum(one.works for one in self.made) == 0
+        self.works = True
+        return self
+
+    works = False
+
+    def __exit__(self, *_):
+        self.works = False
+
+    def restored(self, state, until, off=None):
+        self.way = next(i for i, one in enumerate(self.states.states) if one.time == until)
+        if self.fails.get(self.number) == self.way:
+            raise MeshError(f"companion {self.number} on way {self.way}")
+        x = state.particles.x + (0 if off is None else off) + [1.0, 0]
+        return replace(state, time=until, particles=replace(state.particles, x=x))
+
+
+@pytest.mark.parametrize(
+    ("fails", "reached", "text"),
+    [
+        ({}, 4, ""),
+        ({0: 2}, 0, "companion 0 on way 2"),  # before anything is known
+        ({2: 1}, 0, "companion 2 on way 1"),
+        ({2: 3}, 2, "companion 2 on way 3"),
+        ({3: 4}, 3, "companion 3 on way 4"),
+        ({4: 4, 5: 2}, 1, "companion 5 on way 2"),  # what limits it
+        ({4: 2, 5: 4}, 1, "companion 4 on way 2"),  # the other never comes there
+        ({6: 4}, 3, "companion 6 on way 4"),
+    ],
+)
+def test_a_companion_that_fails_ends_the_way_of_all(given, monkeypatch, fails, reached, text):
+    scene, start = given
+    monkeypatch.setattr(companions, "Companion", FakeCompanion)
+    monkeypatch.setattr(FakeCompanion, "made", [])
+    monkeypatch.setattr(FakeCompanion, "fails", fails)
+    states = [replace(start, time=-MYR * i) for i in range(5)]
+    follower = SimpleNamespace(scene=scene, states=states)
+    growth = accompany(follower, None, None, 10.0)
+    assert growth.failure == text
+    assert [len(off) for off in (*growth.noise, growth.mesh)] == [reached + 1] * 4
+    assert not any(one.works for one in FakeCompanion.made)
+    if reached == 4:
+        assert len(FakeCompanion.made) == 7
+        assert growth.noise[0][4] == pytest.approx(growth.noise[0][0])
+    if reached == 0:
+        assert len(FakeCompanion.made) == 1 + 2 * (0 not in fails)

@@ -122,6 +122,14 @@ def test_every_few_steps(clock):
     assert clock.written[1][1] == {"state": "state 6", "passed": 0, "about": about(JOB)}
 
 
+def test_what_checkpoints_take_is_told(clock):
+    run = Run(clock, every=2)
+    clock.cost = 1.5
+    for _ in range(5):
+        run.step()
+    assert run.recorder.checkpoints_s == 3.0
+
+
 def test_every_few_steps_and_at_marks(clock):
     run, written = Run(clock, every=3), []
     for run.passed in (0, 0, 0, 1, 1, 2):

@@ -4,12 +4,15 @@ import itertools
 import json
 import os
 import signal
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from restoration import run_folder
 from restoration.errors import CaseError, MeshError, OutputError, SolveError, StoppedError
 from restoration.output import RECORD
 from restoration.run import MOST_STEPS, march, next_time, run_job
@@ -94,6 +97,8 @@ def test_a_run_leaves_its_whole_folder(tmp_path):
     assert written["ended_well"] is True
     assert written["exit_code"] == 0
     assert written["particles_lost"] == 0
+    assert 0 < written["wall_by_part_s"]["guards"] < written["wall_by_part_s"]["solve"]
+    assert written["wall_by_part_s"]["checkpoints"] > 0
     assert written["area_change"] == pytest.approx(0, abs=1e-14)  # sums over the rocks
     assert written["there_and_back"]["mean_m"] == record["there_and_back"]["mean_m"] < 14
     assert written["horizons"][0]["name"] == "salt / sediment"
@@ -223,7 +228,7 @@ def test_what_marks_have_left_and_is_gone_is_made_anew(tmp_path, monkeypatch, ar
             run_job(job(tmp_path, scene))
     (lines,) = tmp_path.glob("run/horizons/0-*.geojson")
     (picture,) = tmp_path.glob("run/figures/section-1-*.png")
-    lines.unlink()
+    lines.write_text("")  # as it may be left by a loss of power
     picture.unlink()
     run_job(job(tmp_path, scene))
     assert picture.is_file()
@@ -231,6 +236,7 @@ def test_what_marks_have_left_and_is_gone_is_made_anew(tmp_path, monkeypatch, ar
         assert (tmp_path / "run/horizons" / path.name).read_bytes() == path.read_bytes()
     log = (tmp_path / "run" / "log.txt").read_text()
     assert log.count("were gone; made anew") == 2
+    assert log.count("without arrows") == (2 if arrows else 0)
 
 
 def test_files_of_the_user_survive_a_fresh_run(tmp_path):
@@ -323,10 +329,60 @@ def test_a_run_of_another_machine_keeps_its_folder(tmp_path, monkeypatch):
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path / "elsewhere"))
     with claimed(tmp_path / "run"):
         before = set(tmp_path.rglob("*"))
-        with pytest.raises(CaseError, match="a run of another machine is at work"):
+        with pytest.raises(CaseError, match="at work in it, of another machine or user"):
             run_job(job(tmp_path, scene, fresh=True))
     assert set(tmp_path.rglob("*")) >= before
     assert run_job(job(tmp_path, scene, fresh=True))[0]["ended_well"]
+
+
+def test_a_run_that_begins_keeps_its_folder_from_other_machines(tmp_path, monkeypatch):
+    from restoration import recorder
+
+    begin, tried = recorder.Recorder.begin, []
+
+    def try_it(self):
+        with pytest.raises(CaseError, match="another run is at work"), claimed(self.folder):
+            pass
+        tried.append(self.folder)
+        begin(self)
+
+    monkeypatch.setattr(recorder.Recorder, "begin", try_it)
+    run_job(job(tmp_path, diapir_scene(cells=(4, 4), marks=(0, -0.01))))
+    assert tried == [tmp_path / "run"]
+
+
+def test_a_run_that_ends_well_while_another_waits_for_its_folder_stays(tmp_path, monkeypatch):
+    """Whether it has ended is looked at once nobody else can change it."""
+    task = job(tmp_path, diapir_scene(cells=(4, 4), marks=(0, -0.01)))
+    run_job(task)
+    record = task.folder / "run.json"
+    well = record.read_text()
+    record.write_text(well.replace('"ended_well": true', '"ended_well": false'))
+
+    @contextmanager
+    def ends(folder):
+        (folder / "run.json").write_text(well)
+        yield
+
+    monkeypatch.setattr(run_folder, "claimed", ends)
+    assert run_job(task) == (None, task.folder)
+    assert list(task.folder.glob("horizons/1-*.geojson"))
+
+
+def test_a_result_that_nobody_can_change_is_told_of(tmp_path, monkeypatch):
+    task = job(tmp_path, diapir_scene(cells=(4, 4), marks=(0, -0.01)))
+    run_job(task)
+    left = task.folder / "failure"
+    left.mkdir()
+    (left / "facts.json").write_text("{}")
+
+    def refused(*_, **__):
+        raise PermissionError(errno.EACCES, "Permission denied")
+
+    monkeypatch.setattr("pathlib.Path.unlink", refused)
+    opened = partial(open, os.devnull, "w")
+    monkeypatch.setattr(run_folder, "_opened", lambda _, mode=0: refused() if mode else opened())
+    assert run_job(task) == (None, task.folder)
 
 
 def test_a_disk_without_locks_keeps_nobody_out(tmp_path, monkeypatch):
