@@ -40,6 +40,8 @@ TESTS = {
     "units": [f"{UNIT}units.py"],
     "series_reader": [f"{UNIT}series_reader.py"],
     "apart": [f"{UNIT}apart.py"],
+    "geojson": [f"{UNIT}section.py", "tests/test_broken.py", "-m", "not slow"],
+    "run_folder": [f"{UNIT}run.py"],
 }
 
 OTHER_COMPARISONS = {
