@@ -16,6 +16,7 @@ from restoration.run_folder import claim, clear, proved
 from restoration.stop_request import StopRequest
 from restoration.stopping import Stopping
 from restoration.units import show
+from restoration.writing import disk_faults
 
 ROUNDING = 1e-9  # of a number of steps, which is a quotient of times
 MOST_STEPS = 1_000_000  # to a mark; a flow that needs more is not what the case is about
@@ -188,7 +189,7 @@ def _look_back(job, ranks, checkpoints):
     """
 
     def tidy():
-        with suppress(OSError, OutputError):  # a result may lie where nothing can be changed
+        with suppress(OutputError):  # a result may lie where nothing can be changed
             _tidy(checkpoints)
 
     ranks.alone(tidy)
@@ -203,7 +204,8 @@ def _tidy(checkpoints):
     """Remove what a run that has ended well does not need, nor what failed in it before."""
     checkpoints.clear()
     failure = checkpoints.folder.with_name("failure")
-    (failure / "facts.json").unlink(missing_ok=True)
+    with disk_faults(failure / "facts.json"):
+        (failure / "facts.json").unlink(missing_ok=True)
     Checkpoints(failure).clear()
 
 
