@@ -12,7 +12,7 @@ help:
 	@echo "make mutants  set up, how many small faults of guards, input and checkpoints tests find: an hour"
 	@echo "make profile  set up, say where a diapir, a graben and a 3-D run spend their time"
 	@echo "make trade  set up, measure the fronts of docs/trade.md anew: half an hour; choose with ARGS"
-	@echo "make limits  set up, measure docs/limits.md anew, where it holds: half an hour; choose with ARGS"
+	@echo "make limits  set up, measure docs/limits.md anew, where it holds: some minutes; choose with ARGS"
 	@echo "make lint   set up, check the style"
 	@echo "make clean  remove .venv, caches and built files; runs/ stays"
 
