@@ -83,6 +83,7 @@ class CellAssembler:
         self.A = PETSc.Mat().createAIJWithArrays((n, n), csr, comm=mesh.comm)
         numbers = PETSc.LGMap().create(np.arange(n, dtype=np.int32), comm=mesh.comm)
         self.A.setLGMap(numbers, numbers)
+        numbers.destroy()  # the matrix holds it; PETSc would keep for good what Python drops
         self._rows, self._columns = rows, columns
         self._conditions, self._held, self._diagonal = None, None, None
         dofs = space.dofmap.list

@@ -488,7 +488,8 @@ class StokesProblem:
         As the mesh interpolates them they may let a little more in than out, which no
         divergence-free flow can meet: spread it does not spoil the pin.
         """
-        fem.petsc.set_bc(self._on_walls.vector, self.bcs)
+        # into the array: PETSc would keep for good a vector that wraps it
+        fem.set_bc(self._on_walls.x.array, self.bcs)
         self._on_walls.x.scatter_forward()
         self.leak = self._total(self._outflow)
         self._leak.value = self.leak / self.section.area
