@@ -4,6 +4,7 @@ import itertools
 import json
 import os
 import signal
+import time
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
@@ -13,6 +14,7 @@ import numpy as np
 import pytest
 
 from restoration import run_folder
+from restoration.cli import main
 from restoration.errors import CaseError, MeshError, OutputError, SolveError, StoppedError
 from restoration.output import RECORD
 from restoration.run import MOST_STEPS, march, next_time, run_job
@@ -383,6 +385,32 @@ def test_a_result_that_nobody_can_change_is_told_of(tmp_path, monkeypatch):
     opened = partial(open, os.devnull, "w")
     monkeypatch.setattr(run_folder, "_opened", lambda _, mode=0: refused() if mode else opened())
     assert run_job(task) == (None, task.folder)
+
+
+def test_the_wall_time_counts_what_came_before_the_march(tmp_path, monkeypatch):
+    """Of the command line the age of the process, of a run the loading of its libraries."""
+    from restoration import run
+
+    began = []
+
+    class Noting(run.Keeper):
+        def __init__(self, *arguments):
+            began.append(arguments[6])
+            super().__init__(*arguments)
+
+    monkeypatch.setattr(run, "Keeper", Noting)
+    before = time.monotonic()
+    run_job(job(tmp_path, diapir_scene(cells=(4, 4), marks=(0, -0.01))))
+    assert before <= began[0] <= time.monotonic()
+
+    asked = []
+    monkeypatch.setattr(run, "run_job", lambda job, *_: asked.append(job) or (None, job.folder))
+    case = Path(__file__).parents[2] / "cases" / "diapir-isoviscous" / "case.yaml"
+    with monkeypatch.context() as patch:
+        patch.setattr("restoration.keeper.age", lambda: 40.0)
+        assert main(["run", str(case), "--walltime", "90 s", "--out", str(tmp_path / "x")]) == 0
+    assert main(["run", str(case), "--out", str(tmp_path / "x")]) == 0
+    assert [task.walltime for task in asked] == [50.0, None]
 
 
 def test_a_disk_without_locks_keeps_nobody_out(tmp_path, monkeypatch):
