@@ -173,7 +173,7 @@ def test_a_section_that_cannot_be_restored_is_not_trusted():
 
 
 class FakeCompanion:
-    """Moves particles by a metre a way, and fails on a way where it is the one that does.
+    """Is off by 0.1 m a way on the mesh of the run, in second order, and fails where it is to.
 
     Attributes:
         made: all there were, in their order.
@@ -200,7 +200,8 @@ class FakeCompanion:
         self.way = next(i for i, one in enumerate(self.states.states) if one.time == until)
         if self.fails.get(self.number) == self.way:
             raise MeshError(f"companion {self.number} on way {self.way}")
-        x = state.particles.x + (0 if off is None else off) + [1.0, 0]
+        beside = 0.1 * (self.coarser**2 - 1)  # of the run, which is off by 0.1 m itself
+        x = state.particles.x + (0 if off is None else off) + [beside, 0]
         return replace(state, time=until, particles=replace(state.particles, x=x))
 
 
@@ -231,5 +232,8 @@ def test_a_companion_that_fails_ends_the_way_of_all(given, monkeypatch, fails, r
     if reached == 4:
         assert len(FakeCompanion.made) == 7
         assert growth.noise[0][4] == pytest.approx(growth.noise[0][0])
+        assert growth.order == pytest.approx(2)
+        back = np.broadcast_to([-0.4, 0], growth.mesh[4].shape)  # to where the truth is
+        assert growth.mesh[4] == pytest.approx(back)
     if reached == 0:
         assert len(FakeCompanion.made) == 1 + 2 * (0 not in fails)
