@@ -8,8 +8,8 @@ happened besides flow - is no part of it.
 import numpy as np
 import shapely
 
-from restoration.companions import deformation, displaced, matched
 from restoration.diagnostics import line_distances, summary, there_and_back
+from restoration.displacement import deformation, displaced, matched
 from restoration.layered import restorable
 from restoration.lines import as_drawn
 from restoration.plan import time_label

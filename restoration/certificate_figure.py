@@ -3,7 +3,7 @@
 import numpy as np
 
 from restoration.canvas import Panel, draw_lines, fit, label_axes, limits, nearest_particle
-from restoration.companions import deformation, matched
+from restoration.displacement import deformation, matched
 from restoration.page import Page, legend_size, shorten, style
 from restoration.units import MYR, number
 

@@ -92,6 +92,7 @@ ORDER = {
         "diagnostics",
         "sheets",
         "welds",
+        "displacement",
         "companions",
         "certificate",
         "step",

@@ -8,14 +8,9 @@ import numpy as np
 from restoration.bench.rows import Clock, Row
 from restoration.bench.scenes import two_rocks, under_a_wave
 from restoration.certificate import certified, failed
-from restoration.companions import (
-    Follower,
-    Perturbation,
-    accompany,
-    displaced,
-    offset,
-)
+from restoration.companions import Follower, accompany
 from restoration.diagnostics import there_and_back
+from restoration.displacement import Perturbation, displaced, offset
 from restoration.engine import StokesEngine
 from restoration.errors import CaseError, MeshError, SolveError
 from restoration.resolve import load

@@ -7,18 +7,8 @@ import pytest
 from restoration import companions
 from restoration.bench.certificate import judged
 from restoration.bench.scenes import two_rocks, under_a_wave
-from restoration.companions import (
-    Follower,
-    Perturbation,
-    accompany,
-    deformation,
-    displaced,
-    matched,
-    offset,
-    order,
-    read,
-    way_back,
-)
+from restoration.companions import Follower, accompany, order, way_back
+from restoration.displacement import Perturbation, deformation, displaced, matched, offset, read
 from restoration.engine import StokesEngine
 from restoration.errors import MeshError
 from restoration.layered import Layer, rates
